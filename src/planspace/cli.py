@@ -1,0 +1,416 @@
+"""The command line: each verb is a dataclass whose fields are its options, and a call to one function.
+
+Modules are imported where a verb needs them, so that `--help` answers at once.
+"""
+
+import contextlib
+import io
+import json
+import sys
+import traceback
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional, arg, subcommand
+
+from planspace.errors import PlanspaceError, UsageError
+
+EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
+
+
+@dataclass(frozen=True)
+class Run:
+    """Go from nothing to a first result: plan, embed, train, report."""
+
+    task: Positional[Annotated[str, arg(metavar="TASK")]] = "cartpole-swingup"
+    """cartpole, cartpole-swingup, reacher-trig or reacher-raw."""
+    budget: Literal["smoke", "small", "full"] = "small"
+    """smoke: about a minute, to see that it works. small: some minutes, a first result. full: an hour."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: runs/TASK-BUDGET)")] = None
+    """The run's folder. The same command continues an interrupted run."""
+    seed: int = 0
+    """Seed of every stage; policies take this and the following ones."""
+
+    def __call__(self) -> None:
+        """Runs it and prints the closing table."""
+        from planspace.study.quickstart import closing_table, run
+
+        out = self.out or Path("runs") / f"{self.task}-{self.budget}"
+        summary = run(self.task, self.budget, out, self.seed)
+        print(closing_table(summary))
+        print(f"\nreport           {out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Plan demonstrations from random starts to a goal."""
+
+    out: Annotated[Path, arg(metavar="DIR")]
+    """The dataset folder. The same command continues an interrupted one; a larger --num adds to it."""
+    problem: Positional[Annotated[str, arg(metavar="PROBLEM|FILE.yaml")]] = ""
+    """A shipped problem's name, or a problem file; without it the names are listed."""
+    num: Annotated[int, arg(metavar="N")] = 100
+    """How many demonstrations."""
+    seed: int = 0
+    """Seed of starts, goals and planner."""
+    workers: Annotated[int, arg(metavar="N")] = 0
+    """Processes; 0 takes one for each CPU. The result does not depend on it."""
+    min_rounds: Annotated[int, arg(metavar="N")] = 60
+    """Rounds of 512 extensions before a solution is accepted; more rounds make shorter plans."""
+
+    def __call__(self) -> None:
+        """Plans and says what came of it."""
+        from planspace.plan.generate import PlannerConfig, generate
+        from planspace.plan.problem import load_problem, shipped_problems
+        from planspace.plan.sst import SSTConfig
+
+        if not self.problem:
+            raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
+        if self.num < 1 or self.min_rounds < 1:
+            raise UsageError(f"--num and --min-rounds must be at least 1, got {self.num}, {self.min_rounds}.")
+        sst = SSTConfig()
+        config = PlannerConfig(
+            sst=replace(sst, min_rounds=self.min_rounds, max_rounds=max(sst.max_rounds, self.min_rounds))
+        )
+        problem = load_problem(self.problem)
+        folder = generate(
+            problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
+        )
+        print(f"{folder.num_episodes} demonstrations in {self.out}")
+
+
+@dataclass(frozen=True)
+class DemosShow:
+    """Say what a dataset holds."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder."""
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Prints it."""
+        from planspace.demos.describe import describe
+
+        _print(describe(self.folder), self.json)
+
+
+@dataclass(frozen=True)
+class DemosValidate:
+    """Check every shard's hash, and that the recorded controls lead to the recorded states."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder."""
+    replay: bool = False
+    """Roll the controls out in plain MuJoCo and compare."""
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Prints what was checked."""
+        from planspace.demos.describe import validate
+
+        _print(validate(self.folder, replay_controls=self.replay), self.json)
+
+
+@dataclass(frozen=True)
+class DemosPlot:
+    """Draw a dataset in state space."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Where demos.png and demos.svg go."""
+
+    def __call__(self) -> None:
+        """Draws it."""
+        from planspace.demos.dataset import load_demos
+        from planspace.demos.plot import plot_demos
+        from planspace.store import make_folder
+        from planspace.study.figures import save_figure
+
+        print(save_figure(plot_demos(load_demos(self.folder)), make_folder(self.out), "demos"))
+
+
+@dataclass(frozen=True)
+class DemosImport:
+    """Make a dataset of an NPZ archive with `states`, `controls`, `time` and `offsets`."""
+
+    file: Positional[Annotated[Path, arg(metavar="FILE.npz")]]
+    """The archive; episode i is rows offsets[i] : offsets[i + 1], time in seconds."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """The dataset folder to make."""
+    problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml")] = ""
+    """The planning problem the states belong to: gives names, units, angles and the model."""
+
+    def __call__(self) -> None:
+        """Imports it."""
+        from planspace.demos.convert import import_npz
+        from planspace.plan.generate import state_info
+        from planspace.plan.problem import load_problem
+
+        info = state_info(load_problem(self.problem)) if self.problem else None
+        folder = import_npz(self.file, self.out, info)
+        print(f"{folder.num_episodes} demonstrations in {self.out}")
+
+
+@dataclass(frozen=True)
+class DemosExport:
+    """Write a dataset as an NPZ archive, which `demos import` reads."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder."""
+    file: Positional[Annotated[Path, arg(metavar="FILE.npz")]]
+    """The archive to write."""
+
+    def __call__(self) -> None:
+        """Exports it."""
+        from planspace.demos.convert import export_npz
+        from planspace.demos.dataset import load_demos
+
+        export_npz(load_demos(self.folder), self.file)
+        print(self.file)
+
+
+@dataclass(frozen=True)
+class Demos:
+    """Look at, check, import and export demonstrations."""
+
+    action: (
+        Annotated[DemosShow, subcommand("show")]
+        | Annotated[DemosValidate, subcommand("validate")]
+        | Annotated[DemosPlot, subcommand("plot")]
+        | Annotated[DemosImport, subcommand("import")]
+        | Annotated[DemosExport, subcommand("export")]
+    )
+
+    def __call__(self) -> None:
+        """Hands on to the action."""
+        self.action()
+
+
+@dataclass(frozen=True)
+class Embed:
+    """Train an embedding on demonstrations: several seeds at once, the best one saved."""
+
+    demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """The embedding's folder. The same command continues an interrupted one."""
+    preset: Literal["modern", "paper"] = "modern"
+    """modern: what measured best. paper: what the paper's text says."""
+    z_dim: Annotated[int, arg(metavar="N")] = 3
+    """Numbers in z."""
+    seeds: Annotated[int, arg(metavar="N")] = 5
+    """How many seeds to train."""
+    seed: int = 0
+    """The first of them, and the seed of the split in training, validation and test."""
+    steps: Annotated[int, arg(metavar="N")] = 0
+    """Optimiser steps; 0 takes the preset's: 12,000 (modern) or 200,000 (paper)."""
+
+    def __call__(self) -> None:
+        """Trains it and prints its geometry on the test split."""
+        from planspace.demos.dataset import load_demos
+        from planspace.embed.fit import PRESETS, fit
+
+        if min(self.z_dim, self.seeds) < 1 or self.steps < 0:
+            raise UsageError("--z-dim and --seeds must be at least 1, --steps at least 0.")
+        config = PRESETS[self.preset]
+        config = replace(config, z_dim=self.z_dim, steps=self.steps or config.steps)
+        embedding = fit(load_demos(self.demos), self.out, config=config, num_seeds=self.seeds, seed=self.seed)
+        print(f"seed {embedding.about['seed']} of {self.seeds} saved in {self.out}; on the test split:")
+        _print(embedding.about["metrics"]["test"], False)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Measure an embedding's geometry on demonstrations, beside the standardised raw state's."""
+
+    embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
+    """An embedding's folder."""
+    demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder; all its demonstrations are measured."""
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Prints the metrics."""
+        import numpy as np
+
+        from planspace.demos.dataset import load_demos
+        from planspace.embed.embedding import load_embedding
+        from planspace.embed.geometry import measure, measure_raw_state
+
+        demos = load_demos(self.demos)
+        everything = np.arange(len(demos))
+        metrics = asdict(measure(load_embedding(self.embedding), demos, everything))
+        raw = asdict(measure_raw_state(demos, everything, everything))
+        _print({"embedding": metrics, "raw_state": raw}, self.json)
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train policies on a task: all seeds at once, in one program."""
+
+    out: Annotated[Path, arg(metavar="DIR")]
+    """The run's folder. The same command continues an interrupted run."""
+    task: Positional[Annotated[str, arg(metavar="TASK")]] = ""
+    """A task's name; without it the names are listed."""
+    algo: Literal["trpo"] = "trpo"
+    """The algorithm."""
+    obs: Literal["raw", "trig"] = "raw"
+    """raw: the state as it is. trig: with sin and cos of its angles beside it."""
+    z: Literal["none", "augment", "replace"] = "none"
+    """augment: the observation and z. replace: z alone."""
+    z_to: Literal["both", "policy", "critic"] = "both"
+    """Who sees z."""
+    embedding: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """What makes z; needed where there is z."""
+    seeds: Annotated[int, arg(metavar="N")] = 5
+    """How many seeds."""
+    steps: Annotated[int, arg(metavar="N")] = 960_000
+    """Environment steps for each seed; rounded up to a multiple of 4000."""
+    seed: int = 0
+    """The first seed; the others follow it."""
+
+    def __call__(self) -> None:
+        """Trains and prints the returns at the end."""
+        from planspace.embed.embedding import load_embedding
+        from planspace.rl.train import BATCH_STEPS, TrainConfig, train
+        from planspace.tasks import TASKS
+
+        if not self.task:
+            raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
+        config = TrainConfig(
+            self.task, self.algo, self.obs, self.z, self.z_to, self.seeds, self.seed, self.steps
+        )
+        rounded = config.iterations * BATCH_STEPS
+        if rounded != self.steps:
+            print(f"--steps {self.steps} rounded up to {rounded}", file=sys.stderr)
+        embedding = load_embedding(self.embedding) if self.embedding else None
+        history = train(config, self.out, embedding)
+        last = history["return"][-1]
+        spread = f"worst {last.min():.1f}, best {last.max():.1f}"
+        print(f"return of the last iteration: mean {last.mean():.1f}, {spread}")
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a `planspace run` anew; what the run had not finished is finished first."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DIR")]]
+    """The run's folder."""
+    json: bool = False
+    """Print the summary as JSON."""
+
+    def __call__(self) -> None:
+        """Writes it and prints the closing table."""
+        from planspace.study.quickstart import closing_table, rebuild
+
+        summary = rebuild(self.folder)
+        print(json.dumps(summary, indent=2) if self.json else closing_table(summary))
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what is installed, what is missing, and what to do about it."""
+
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Prints the findings."""
+        from planspace.doctor import as_data, as_text, examine
+
+        findings = examine()
+        print(json.dumps(as_data(findings), indent=2) if self.json else as_text(findings))
+
+
+Command = (
+    Annotated[Run, subcommand("run")]
+    | Annotated[Plan, subcommand("plan")]
+    | Annotated[Demos, subcommand("demos")]
+    | Annotated[Embed, subcommand("embed")]
+    | Annotated[Measure, subcommand("measure")]
+    | Annotated[Train, subcommand("train")]
+    | Annotated[Report, subcommand("report")]
+    | Annotated[Doctor, subcommand("doctor")]
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        arguments: what follows the program's name; by default the process's own.
+
+    Returns:
+        The exit code: 0 done, 1 failed, 2 wrong usage, 3 partly done, 130 interrupted.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if "--version" in arguments:
+        import planspace
+
+        print(planspace.__version__)
+        return 0
+    debug = "--debug" in arguments
+    try:
+        _parse([a for a in arguments if a != "--debug"])()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    except KeyboardInterrupt:
+        print("interrupted; the same command continues from here.", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except PlanspaceError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"planspace: {error}", file=sys.stderr)
+        return error.exit_code
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        message = " ".join(str(error).split())
+        print(
+            f"planspace: unexpected {type(error).__name__}: {message} (--debug shows where)", file=sys.stderr
+        )
+        return EXIT_FAILURE
+    return 0
+
+
+def _parse(arguments: list[str]) -> Any:
+    """The command, or one line on standard error and exit code 2."""
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Command]],
+                args=arguments,
+                prog="planspace",
+                description="State embeddings in which demonstrated plans are straight lines. Beside each "
+                "command's own options: --debug shows the traceback of an error, --version the version.",
+            )
+    except SystemExit as stop:
+        if stop.code:
+            print(f"planspace: {_one_line(complaint.getvalue())}", file=sys.stderr)
+        raise
+
+
+def _one_line(box: str) -> str:
+    """Takes the text out of a drawn box."""
+    lines = [line.strip("│╭╮╰╯─ ") for line in box.splitlines() if line.startswith("│")]
+    return " ".join(line for line in lines if line)
+
+
+def _print(value: dict[str, Any], as_json: bool, indent: str = "") -> None:
+    if as_json:
+        print(json.dumps(value, indent=2))
+        return
+    for key, item in value.items():
+        if isinstance(item, dict):
+            print(f"{indent}{key}")
+            _print(item, False, indent + "  ")
+        else:
+            shown = f"{item:.4g}" if isinstance(item, float) else item
+            print(f"{indent}{key:<22}{shown}")

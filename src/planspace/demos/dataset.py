@@ -1,0 +1,274 @@
+"""Datasets of demonstrations: ragged trajectories in immutable shards, under one sealed manifest.
+
+    DIR/manifest.json              what the states mean, the model, and each shard with its SHA-256
+    DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
+    DIR/log.jsonl                  dates and wall times, outside every hash
+
+An episode has T + 1 states and times and T controls: control k is held from state k to state k + 1.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from planspace.errors import PlanspaceError
+from planspace.store import json_hash, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
+
+SCHEMA = 1
+MANIFEST = "manifest.json"
+SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
+"""Shares of the demonstrations; the rest is the test split."""
+
+
+@dataclass(frozen=True)
+class StateInfo:
+    """What the numbers of a state and of a control are, and the model they belong to."""
+
+    names: tuple[str, ...]
+    """A name for each number of a state."""
+    units: tuple[str, ...]
+    """The unit of each; empty text where it is not known."""
+    circular_columns: tuple[int, ...]
+    """Which numbers are angles on a circle [rad]."""
+    num_controls: int
+    """Numbers in a control."""
+    problem: str = ""
+    """The planning problem, where there is one."""
+    joints: tuple[str, ...] = ()
+    """The model's joints that make the state, where there is a model."""
+    mjcf: str = ""
+    """The whole model, where there is one."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One demonstration."""
+
+    states: Float[np.ndarray, "time state"]
+    """T + 1 states; angles continuous, ending in (-pi, pi]."""
+    controls: Float[np.ndarray, "step control"]
+    """T controls, each held until the next state."""
+    times: Float[np.ndarray, " time"]
+    """When each state was reached [s], from 0."""
+    goal: Float[np.ndarray, " state"]
+    """Where it was to end; NaN where that is not known."""
+    success: bool
+    """Whether it ended there."""
+    index: int
+    """Its number in the order of planning or recording."""
+    seed: int
+    """The attempt that made it: failed attempts are retried with the next seed."""
+
+
+@dataclass(frozen=True)
+class Demos:
+    """Demonstrations in memory, their states laid end to end."""
+
+    info: StateInfo
+    states: Float[np.ndarray, "row state"]
+    """All states; episode i is rows offsets[i] : offsets[i + 1]."""
+    controls: Float[np.ndarray, "step control"]
+    """All controls; episode i is rows offsets[i] - i : offsets[i + 1] - i - 1."""
+    times: Float[np.ndarray, " row"]
+    offsets: Int[np.ndarray, " bound"]
+    goals: Float[np.ndarray, "demo state"]
+    success: np.ndarray
+    indices: Int[np.ndarray, " demo"]
+    seeds: Int[np.ndarray, " demo"]
+
+    def __len__(self) -> int:
+        """How many demonstrations."""
+        return len(self.offsets) - 1
+
+    @classmethod
+    def from_episodes(cls, info: StateInfo, episodes: Sequence[Episode]) -> "Demos":
+        """Lays episodes end to end.
+
+        Raises:
+            PlanspaceError: there are none, sizes differ, or a number is not finite (the place is named).
+        """
+        if not episodes:
+            raise PlanspaceError("there are no demonstrations.")
+        for episode in episodes:
+            _check_episode(info, episode)
+        lengths = [len(e.states) for e in episodes]
+        return cls(
+            info=info,
+            states=np.concatenate([e.states for e in episodes]),
+            controls=np.concatenate([e.controls for e in episodes]),
+            times=np.concatenate([e.times for e in episodes]),
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            goals=np.stack([e.goal for e in episodes]),
+            success=np.array([e.success for e in episodes]),
+            indices=np.array([e.index for e in episodes]),
+            seeds=np.array([e.seed for e in episodes]),
+        )
+
+    def episode(self, i: int) -> Episode:
+        """Demonstration i."""
+        a, b = int(self.offsets[i]), int(self.offsets[i + 1])
+        return Episode(
+            states=self.states[a:b],
+            controls=self.controls[a - i : b - i - 1],
+            times=self.times[a:b],
+            goal=self.goals[i],
+            success=bool(self.success[i]),
+            index=int(self.indices[i]),
+            seed=int(self.seeds[i]),
+        )
+
+    def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:
+        """The rows of some demonstrations, in order."""
+        return np.concatenate([np.arange(int(self.offsets[i]), int(self.offsets[i + 1])) for i in episodes])
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the content, however it is cut into shards."""
+        digest = hashlib.sha256(json_hash(asdict(self.info)).encode())
+        for array in (self.states, self.controls, self.times, self.offsets, self.goals):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def split(self, seed: int) -> dict[str, np.ndarray]:
+        """Splits the demonstrations 80/10/10 into `train`, `validation` and `test`, by whole episodes.
+
+        Raises:
+            PlanspaceError: there are too few for three splits.
+        """
+        count = len(self)
+        if count < 3:
+            raise PlanspaceError(f"{count} demonstrations cannot be split in three; at least 3 are needed.")
+        held_out = max(1, round(SPLIT_SHARES["validation"] * count))
+        order = np.random.default_rng(np.random.SeedSequence([seed, count])).permutation(count)
+        parts = np.split(order, [count - 2 * held_out, count - held_out])
+        return {
+            name: np.sort(part) for name, part in zip(("train", "validation", "test"), parts, strict=True)
+        }
+
+
+class DemoFolder:
+    """A dataset on disk that grows shard by shard; each shard is on disk before the next is begun."""
+
+    def __init__(self, path: Path, info: StateInfo, settings: dict[str, Any]):
+        """Opens a folder, new or to be continued.
+
+        Args:
+            path: the folder.
+            info: what the states are.
+            settings: what decides the content (problem hash, seed, planner); kept in the manifest.
+
+        Raises:
+            PlanspaceError: it cannot be written, or holds a dataset made with other settings.
+        """
+        self.path = make_folder(path)
+        self._info, self._settings = info, settings
+        self.shards: list[dict[str, Any]] = []
+        self.next_index = 0
+        if (path / MANIFEST).exists():
+            manifest = _read_manifest(path)
+            if manifest["settings"] != settings:
+                keys = sorted(
+                    k
+                    for k in settings | manifest["settings"]
+                    if settings.get(k) != manifest["settings"].get(k)
+                )
+                was = ", ".join(
+                    f"{k} was {manifest['settings'].get(k)!r}, now {settings.get(k)!r}" for k in keys
+                )
+                raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
+            self.shards = manifest["shards"]
+            self.next_index = manifest["next_index"]
+
+    @property
+    def num_episodes(self) -> int:
+        """Episodes on disk."""
+        return sum(shard["episodes"] for shard in self.shards)
+
+    def append(self, episodes: Sequence[Episode], next_index: int) -> None:
+        """Commits episodes as one shard.
+
+        Args:
+            episodes: may be empty, when every attempt of a stretch failed.
+            next_index: the first index that has not been tried yet.
+        """
+        if episodes:
+            demos = Demos.from_episodes(self._info, episodes)
+            name = f"shard-{len(self.shards):05d}.safetensors"
+            sha256 = write_arrays(self.path / name, _arrays(demos))
+            shard = {"file": name, "sha256": sha256, "episodes": len(demos), "states": len(demos.states)}
+            self.shards = [*self.shards, shard]
+        self.next_index = next_index
+        write_sealed(
+            self.path / MANIFEST,
+            {
+                "schema": SCHEMA,
+                "kind": "demos",
+                "info": asdict(self._info),
+                "settings": self._settings,
+                "next_index": next_index,
+                "shards": self.shards,
+            },
+        )
+
+
+def load_demos(path: Path) -> Demos:
+    """Reads a dataset and verifies every shard.
+
+    Raises:
+        PlanspaceError: no dataset, a newer schema, or a missing or altered shard (which is named).
+    """
+    manifest = _read_manifest(path)
+    if not manifest["shards"]:
+        raise PlanspaceError(f"{path} holds no demonstrations.")
+    parts = [read_arrays(path / shard["file"], sha256=shard["sha256"]) for shard in manifest["shards"]]
+    info: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in manifest["info"].items()}
+    lengths = np.concatenate([np.diff(part["offsets"]) for part in parts])
+    return Demos(
+        info=StateInfo(**info),
+        offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        **{key: np.concatenate([part[key] for part in parts]) for key in parts[0] if key != "offsets"},
+    )
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / MANIFEST
+    if not file.exists():
+        raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
+    manifest = read_sealed(file)
+    if manifest.get("kind") != "demos":
+        raise PlanspaceError(f"{file} describes no demo dataset.")
+    if manifest["schema"] > SCHEMA:
+        raise PlanspaceError(
+            f"{path} was written by a newer planspace (schema {manifest['schema']}, this one reads up to "
+            f"{SCHEMA}); upgrade planspace."
+        )
+    return manifest
+
+
+def _arrays(demos: Demos) -> dict[str, np.ndarray]:
+    names = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds")
+    return {name: getattr(demos, name) for name in names}
+
+
+def _check_episode(info: StateInfo, episode: Episode) -> None:
+    where = f"demonstration {episode.index}"
+    num_states, size = episode.states.shape
+    if size != len(info.names) or episode.controls.shape[1] != info.num_controls:
+        raise PlanspaceError(
+            f"{where} has {size} numbers a state and {episode.controls.shape[1]} a control; "
+            f"{len(info.names)} and {info.num_controls} were expected."
+        )
+    if len(episode.controls) != num_states - 1 or len(episode.times) != num_states:
+        raise PlanspaceError(
+            f"{where} has {num_states} states, {len(episode.controls)} controls and {len(episode.times)} "
+            "times; T + 1, T and T + 1 were expected."
+        )
+    for name, array in (("state", episode.states), ("control", episode.controls), ("time", episode.times)):
+        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        if len(bad):
+            raise PlanspaceError(f"{where} holds a {name} that is not finite, in row {bad[0]}.")

@@ -1,0 +1,266 @@
+"""The saved artefact: an encoder one can load anywhere. NumPy alone; neither JAX nor MuJoCo is imported.
+
+    DIR/embedding.safetensors   the weights and the normaliser
+    DIR/embedding.json          what they mean: inputs, architecture, preset, seed, metrics, provenance
+
+The JSON is sealed by its own checksum and holds the SHA-256 of the weights.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.errors import PlanspaceError
+from planspace.store import Arrays, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
+
+SCHEMA = 1
+WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
+ARCHITECTURE = "relu-gaussian"
+"""The one architecture there is: `embed.networks`. A file names it; it never names code."""
+MIN_DEVIATION = 1e-6
+
+InputForm = Literal["raw", "trig"]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """How a state becomes the input of the encoder, and back.
+
+    `raw` takes the numbers as they are. `trig` replaces each angle on a circle by (sin, cos) and
+    standardises every input by the training split.
+    """
+
+    names: tuple[str, ...]
+    """Names of the numbers of a state."""
+    units: tuple[str, ...]
+    """Their units."""
+    circular_columns: tuple[int, ...]
+    """Which of them are angles on a circle [rad]."""
+    form: InputForm
+    """`raw` or `trig`."""
+    mean: Float[np.ndarray, " input"]
+    """Subtracted from each input; 0 where `raw`."""
+    deviation: Float[np.ndarray, " input"]
+    """Divides each input; 1 where `raw`."""
+
+    @classmethod
+    def fit(
+        cls,
+        states: Float[np.ndarray, "row state"],
+        names: Sequence[str],
+        units: Sequence[str],
+        circular_columns: Sequence[int],
+        form: InputForm,
+    ) -> "Inputs":
+        """Reads the normaliser off training states.
+
+        Raises:
+            PlanspaceError: an input is constant, so that it can be neither standardised nor learned from.
+        """
+        raw = cls(tuple(names), tuple(units), tuple(circular_columns), form, np.zeros(1), np.ones(1))
+        values = raw.expand(states)
+        deviation = values.std(axis=0)
+        if (deviation < MIN_DEVIATION).any():
+            column = raw.columns[int(np.argmin(deviation))]
+            raise PlanspaceError(
+                f"the state {names[column]!r} is constant in the training demonstrations; leave it out."
+            )
+        if form == "raw":
+            mean, deviation = np.zeros_like(deviation), np.ones_like(deviation)
+        else:
+            mean = values.mean(axis=0)
+        return cls(tuple(names), tuple(units), tuple(circular_columns), form, mean, deviation)
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """For each input, the column of the state it comes from."""
+        circular = self.circular_columns if self.form == "trig" else ()
+        return tuple(c for c in range(len(self.names)) for _ in range(2 if c in circular else 1))
+
+    def expand(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
+        """States to inputs, before standardising."""
+        if self.form == "raw" or not self.circular_columns:
+            return np.asarray(states)
+        parts = []
+        for column in range(len(self.names)):
+            values = states[..., column]
+            circular = column in self.circular_columns
+            parts += [np.sin(values), np.cos(values)] if circular else [values]
+        return np.stack(parts, axis=-1)
+
+    def __call__(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
+        """States to the encoder's inputs."""
+        return (self.expand(states) - self.mean) / self.deviation
+
+    def invert(self, inputs: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch state"]:
+        """Decoded inputs back to states; angles in (-pi, pi] where the form is `trig`."""
+        values = inputs * self.deviation + self.mean
+        parts, i = [], 0
+        for column in range(len(self.names)):
+            if self.form == "trig" and column in self.circular_columns:
+                parts.append(np.arctan2(values[..., i], values[..., i + 1]))
+                i += 2
+            else:
+                parts.append(values[..., i])
+                i += 1
+        return np.stack(parts, axis=-1)
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """A learned map from states to z, with the decoder that was trained beside it."""
+
+    inputs: Inputs
+    """What it expects of a state."""
+    encoder: tuple[list[np.ndarray], list[np.ndarray]]
+    """Weights [out, in] and biases [out] of each layer of q(z|x)."""
+    decoder: tuple[list[np.ndarray], list[np.ndarray]]
+    """The same of p(x|z)."""
+    sigma_floor: float
+    """Added to the decoder's deviation."""
+    about: dict[str, Any] = field(default_factory=dict)
+    """Preset, seed, metrics and provenance, as saved."""
+
+    @property
+    def z_dim(self) -> int:
+        """Numbers in z."""
+        return len(self.encoder[1][-1]) // 2
+
+    @property
+    def state_dim(self) -> int:
+        """Numbers in a state."""
+        return len(self.inputs.names)
+
+    def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
+        """The mean of q(z|x), which is what an agent observes."""
+        return self.encode_distribution(states)[0]
+
+    def encode_distribution(
+        self, states: Float[np.ndarray, "*batch state"]
+    ) -> tuple[Float[np.ndarray, "*batch z"], Float[np.ndarray, "*batch z"]]:
+        """Mean and deviation of q(z|x).
+
+        Raises:
+            PlanspaceError: the states have another number of columns.
+        """
+        states = np.asarray(states, dtype=np.float64)
+        if states.shape[-1] != self.state_dim:
+            raise PlanspaceError(
+                f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
+                f"got {states.shape[-1]}."
+            )
+        return _gaussian(self.inputs(states), self.encoder, 0.0)
+
+    def decode(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch state"]:
+        """The state the decoder takes z to be."""
+        return self.inputs.invert(_gaussian(np.asarray(z), self.decoder, self.sigma_floor)[0])
+
+    def distance(
+        self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
+    ) -> Float[np.ndarray, "*batch3"]:
+        """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
+        return np.linalg.norm(self.encode(a) - self.encode(b), axis=-1)
+
+    def save(self, path: Path) -> None:
+        """Saves it in a folder; the description is written last, and without it there is no embedding.
+
+        Raises:
+            PlanspaceError: an embedding stands there already, or it cannot be written.
+        """
+        if (path / DESCRIPTION).exists():
+            raise PlanspaceError(f"{path} already holds an embedding; choose another --out.")
+        make_folder(path)
+        sha256 = write_arrays(path / WEIGHTS, self._arrays())
+        write_sealed(
+            path / DESCRIPTION,
+            {
+                "schema": SCHEMA,
+                "kind": "embedding",
+                "architecture": ARCHITECTURE,
+                "weights_sha256": sha256,
+                "inputs": {
+                    "names": self.inputs.names,
+                    "units": self.inputs.units,
+                    "circular_columns": self.inputs.circular_columns,
+                    "form": self.inputs.form,
+                },
+                "z_dim": self.z_dim,
+                "sigma_floor": self.sigma_floor,
+                "about": self.about,
+            },
+        )
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of what it computes: inputs and weights, whatever is said about it."""
+        digest = hashlib.sha256(repr((self.inputs.names, self.inputs.form, self.sigma_floor)).encode())
+        for name, array in sorted(self._arrays().items()):
+            digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def _arrays(self) -> Arrays:
+        arrays = {"mean": self.inputs.mean, "deviation": self.inputs.deviation}
+        for name, (weights, biases) in (("encoder", self.encoder), ("decoder", self.decoder)):
+            for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+                arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
+        return arrays
+
+
+def load_embedding(path: str | Path) -> Embedding:
+    """Loads an embedding saved by `planspace embed` or `Embedding.save`.
+
+    Args:
+        path: its folder.
+
+    Raises:
+        PlanspaceError: not an embedding, a newer schema, or altered since it was saved.
+    """
+    path = Path(path)
+    if not (path / DESCRIPTION).exists():
+        raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
+    text = read_sealed(path / DESCRIPTION)
+    if text.get("kind") != "embedding" or text.get("architecture") != ARCHITECTURE:
+        raise PlanspaceError(f"{path / DESCRIPTION} describes no embedding this planspace can read.")
+    if text["schema"] > SCHEMA:
+        raise PlanspaceError(
+            f"{path} was written by a newer planspace (schema {text['schema']}, this one reads up to "
+            f"{SCHEMA}); upgrade planspace."
+        )
+    arrays = read_arrays(path / WEIGHTS, sha256=text["weights_sha256"])
+    bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+    if bad:
+        raise PlanspaceError(f"{path / WEIGHTS}: {bad[0]} holds a number that is not finite.")
+    inputs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in text["inputs"].items()}
+    return Embedding(
+        inputs=Inputs(**inputs, mean=arrays["mean"], deviation=arrays["deviation"]),
+        encoder=_layers(arrays, "encoder"),
+        decoder=_layers(arrays, "decoder"),
+        sigma_floor=text["sigma_floor"],
+        about=text["about"],
+    )
+
+
+def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    count = sum(key.startswith(f"{name}.") for key in arrays) // 2
+    return (
+        [arrays[f"{name}.{i}.weight"] for i in range(count)],
+        [arrays[f"{name}.{i}.bias"] for i in range(count)],
+    )
+
+
+def _gaussian(
+    x: np.ndarray, layers: tuple[list[np.ndarray], list[np.ndarray]], sigma_floor: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """`embed.networks.GaussianNetwork` in NumPy."""
+    weights, biases = layers
+    x = x.astype(weights[0].dtype)
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        x = np.maximum(x @ weight.T + bias, 0.0)
+    mu, rho = np.split(x @ weights[-1].T + biases[-1], 2, axis=-1)
+    elu = np.where(rho > 0, rho, np.expm1(np.minimum(rho, 0.0)))
+    return mu, elu + 1.0 + sigma_floor

@@ -1,0 +1,58 @@
+"""Many episodes of one task stepped together; every environment of planspace stands on this."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from planspace.physics.simulate import Simulator
+from planspace.tasks import Task
+
+
+class TaskBatch:
+    """`num` episodes of a task on one physics batch."""
+
+    def __init__(self, task: Task, num: int, *, threads: int = 0):
+        """Starts the simulations; `reset` starts the episodes.
+
+        Args:
+            task: the task.
+            num: how many episodes run side by side.
+            threads: physics threads; 0 takes all CPUs. Results do not depend on it.
+        """
+        model, space = task.compile()
+        self.task = task
+        self.simulator = Simulator(model, space, num, threads=threads)
+        self.states = np.zeros((num, space.size))
+        """The state of each episode [env, state]."""
+        self.targets = np.zeros((num, 2 if task.has_target else 0))
+        """The target of each episode [env, 2 or 0]."""
+
+    def reset(
+        self,
+        states: Float[np.ndarray, "env state"],
+        targets: Float[np.ndarray, "env target"],
+        ids: Int[np.ndarray, " env"] | None = None,
+    ) -> None:
+        """Begins episodes (all, or those of `ids`) at the given states with the given targets."""
+        index = slice(None) if ids is None else ids
+        self.simulator.reset(states, ids)
+        self.states[index], self.targets[index] = states, targets
+
+    def step(
+        self, actions: Float[np.ndarray, "env control"]
+    ) -> tuple[Float[np.ndarray, " env"], Bool[np.ndarray, " env"], Bool[np.ndarray, " env"]]:
+        """Takes one step of every episode.
+
+        A diverged episode keeps the state it had before the step and earns nothing; end it.
+
+        Returns:
+            Reward, whether the episode terminated, and whether its physics diverged.
+        """
+        before = self.states
+        simulator = self.simulator
+        applied = np.clip(actions, simulator.control_low, simulator.control_high)
+        simulator.step(applied, self.task.frame_skip)
+        diverged = simulator.diverged()
+        after = np.where(diverged[:, None], before, simulator.states())
+        reward = self.task.reward(before, after, applied, self.targets)
+        self.states = after
+        return np.where(diverged, 0.0, reward), self.task.terminated(after), diverged

@@ -1,0 +1,55 @@
+"""Generalised advantage estimation (Schulman et al. 2016), with the two ways to end kept apart."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+def gae(
+    reward: Float[np.ndarray, "time *env"],
+    value: Float[np.ndarray, "time *env"],
+    next_value: Float[np.ndarray, "time *env"],
+    terminated: Bool[np.ndarray, "time *env"],
+    truncated: Bool[np.ndarray, "time *env"],
+    *,
+    discount: float,
+    trace: float,
+) -> Float[np.ndarray, "time *env"]:
+    """The advantages of the actions taken.
+
+    Args:
+        reward: of each step.
+        value: of the state before each step.
+        next_value: of the state after it; ignored where the episode terminated.
+        terminated: the episode ended there for good: nothing is earned afterwards.
+        truncated: the record was cut there: `next_value` stands for what would have been earned.
+        discount: gamma.
+        trace: lambda.
+    """
+    delta = reward + discount * np.where(terminated, 0.0, next_value) - value
+    carry = discount * trace * ~(terminated | truncated)
+    return _accumulate(delta, carry)
+
+
+def discounted_returns(
+    reward: Float[np.ndarray, "time *env"],
+    next_value: Float[np.ndarray, "time *env"],
+    terminated: Bool[np.ndarray, "time *env"],
+    truncated: Bool[np.ndarray, "time *env"],
+    *,
+    discount: float,
+) -> Float[np.ndarray, "time *env"]:
+    """The discounted sum of rewards from each step on, with `next_value` where the record was cut."""
+    cut = truncated & ~terminated
+    return _accumulate(
+        reward + discount * np.where(cut, next_value, 0.0), discount * ~(terminated | truncated)
+    )
+
+
+def _accumulate(terms: np.ndarray, carry: np.ndarray) -> np.ndarray:
+    """y_t = terms_t + carry_t y_{t+1}."""
+    total = np.zeros_like(terms[0])
+    result = np.empty_like(terms)
+    for t in range(len(terms) - 1, -1, -1):
+        total = terms[t] + carry[t] * total
+        result[t] = total
+    return result

@@ -1,0 +1,72 @@
+"""What an agent sees: the task's observation, sin and cos if asked for, and z; and which part sees which."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.embed.embedding import Embedding
+from planspace.errors import UsageError
+from planspace.tasks import ObsForm, Task
+
+ZMode = Literal["none", "augment", "replace"]
+ZTarget = Literal["both", "policy", "critic"]
+
+
+@dataclass(frozen=True)
+class Observer:
+    """States and targets to observations, and the columns of them that policy and critic read."""
+
+    task: Task
+    obs: ObsForm
+    z: ZMode
+    z_to: ZTarget
+    embedding: Embedding | None
+
+    def __post_init__(self) -> None:
+        """Checks that the parts fit.
+
+        Raises:
+            UsageError: an arm with z has no embedding, or one for other states.
+        """
+        if self.z == "none":
+            return
+        if self.embedding is None:
+            raise UsageError(f"z is {self.z!r}, which needs an embedding: give --embedding DIR.")
+        _, space = self.task.compile()
+        if self.embedding.inputs.names != space.names:
+            raise UsageError(
+                f"the embedding reads the states ({', '.join(self.embedding.inputs.names)}), the task "
+                f"{self.task.name} has ({', '.join(space.names)})."
+            )
+
+    def __call__(
+        self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
+    ) -> Float[np.ndarray, "env obs"]:
+        """The observations, float32."""
+        parts = []
+        if self.z != "replace" or self.z_to != "both":
+            observe = self.task.observe if self.obs == "raw" else self.task.observe_trig
+            parts.append(observe(states, targets))
+        if self.embedding is not None and self.z != "none":
+            parts.append(self.embedding.encode(states))
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    @property
+    def policy_columns(self) -> slice:
+        """The columns the policy reads."""
+        return self._columns("policy")
+
+    @property
+    def critic_columns(self) -> slice:
+        """The columns the critic reads."""
+        return self._columns("critic")
+
+    def _columns(self, reader: str) -> slice:
+        if self.z == "none" or self.z_to == "both":
+            return slice(None)
+        own = len(self.task.obs_names) + (2 * len(self.task.trig_columns) if self.obs == "trig" else 0)
+        if reader != self.z_to:
+            return slice(0, own)
+        return slice(own, None) if self.z == "replace" else slice(None)

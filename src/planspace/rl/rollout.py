@@ -1,0 +1,107 @@
+"""One iteration of episodes for all seeds at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from planspace.envs.batch import TaskBatch
+from planspace.rl.observe import Observer
+from planspace.rl.policy import Actor
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What happened in one iteration. Axes: time, seed, env."""
+
+    obs: Float[np.ndarray, "time seed env obs"]
+    actions: Float[np.ndarray, "time seed env action"]
+    rewards: Float[np.ndarray, "time seed env"]
+    step: Int[np.ndarray, "time seed env"]
+    """Steps since the episode's start, before the action."""
+    terminated: Bool[np.ndarray, "time seed env"]
+    timeout: Bool[np.ndarray, "time seed env"]
+    """The episode reached the task's horizon there."""
+    cut: Bool[np.ndarray, "time seed env"]
+    """The record ends there in the middle of an episode (the iteration's end, or diverged physics)."""
+    next_obs: Float[np.ndarray, "time seed env obs"]
+    """What was observed after the action, before any restart."""
+
+
+def collect(
+    batch: TaskBatch,
+    observer: Observer,
+    actor: Actor,
+    num_steps: int,
+    rngs: list[np.random.Generator],
+) -> Rollout:
+    """Runs every environment for `num_steps`, from fresh episodes; when one ends, the next begins.
+
+    Args:
+        batch: seeds x environments, seed by seed.
+        observer: what the policy and critic see.
+        actor: one policy a seed.
+        num_steps: steps of each environment.
+        rngs: one stream a seed; a seed's starts and noise come from its own stream alone.
+    """
+    task, num_seeds = batch.task, len(rngs)
+    num_envs = len(batch.states) // num_seeds
+    shape = (num_steps, num_seeds, num_envs)
+    num_actions = actor.std.shape[-1]
+    starts = [task.sample_starts(num_envs, rng) for rng in rngs]
+    noise = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
+    batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
+    obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+    record = Rollout(
+        obs=np.empty((*shape, obs.shape[-1]), np.float32),
+        actions=np.empty((*shape, num_actions), np.float32),
+        rewards=np.empty(shape),
+        step=np.empty(shape, int),
+        terminated=np.empty(shape, bool),
+        timeout=np.empty(shape, bool),
+        cut=np.zeros(shape, bool),
+        next_obs=np.empty((*shape, obs.shape[-1]), np.float32),
+    )
+    since_start = np.zeros(shape[1:], int)
+    for t in range(num_steps):
+        actions = actor.mean(obs[..., observer.policy_columns]) + actor.std * noise[t]
+        rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
+        record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
+        record.rewards[t], record.terminated[t] = rewards.reshape(shape[1:]), terminated.reshape(shape[1:])
+        since_start = since_start + 1
+        record.timeout[t] = ~record.terminated[t] & (since_start >= task.horizon)
+        record.cut[t] = diverged.reshape(shape[1:])
+        obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+        record.next_obs[t] = obs
+        ended = record.terminated[t] | record.timeout[t] | record.cut[t]
+        if ended.any() and t + 1 < num_steps:
+            _restart(batch, ended, rngs)
+            since_start = np.where(ended, 0, since_start)
+            obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+    record.cut[-1] |= ~(record.terminated[-1] | record.timeout[-1])
+    return record
+
+
+def _restart(batch: TaskBatch, ended: Bool[np.ndarray, "seed env"], rngs: list[np.random.Generator]) -> None:
+    starts = [batch.task.sample_starts(int(n), rng) for n, rng in zip(ended.sum(axis=1), rngs, strict=True)]
+    states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
+    batch.reset(states, targets, np.flatnonzero(ended).astype(np.int32))
+
+
+def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float[np.ndarray, " seed"]]:
+    """Mean return and length of each seed's episodes that ended (of all, if none did), undiscounted."""
+    ended = rollout.terminated | rollout.timeout
+    returns = np.empty(ended.shape[1])
+    lengths = np.empty(ended.shape[1])
+    for s in range(ended.shape[1]):
+        totals, counts = [], []
+        for e in range(ended.shape[2]):
+            stops = np.flatnonzero(ended[:, s, e] | rollout.cut[:, s, e]) + 1
+            for a, b in zip([0, *stops[:-1]], stops, strict=True):
+                totals.append(rollout.rewards[a:b, s, e].sum())
+                counts.append((b - a, ended[b - 1, s, e]))
+        whole = np.array([done for _, done in counts])
+        keep = whole if whole.any() else np.ones(len(whole), bool)
+        returns[s] = np.mean(np.array(totals)[keep])
+        lengths[s] = np.mean(np.array([n for n, _ in counts])[keep])
+    return returns, lengths

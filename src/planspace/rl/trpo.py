@@ -1,0 +1,152 @@
+"""Trust region policy optimisation (Schulman et al. 2015), one update of one policy.
+
+Notation: g the gradient of the surrogate, F the Fisher matrix of the policy, s = F^-1 g the search
+direction. A step is sqrt(2 max_kl / s F s) s, shortened until the surrogate improves within max_kl.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from planspace.embed.gaussian import kl
+from planspace.rl.policy import GaussianPolicy
+
+
+@dataclass(frozen=True)
+class TRPOConfig:
+    """Settings of TRPO; the defaults are the 2020 runs'."""
+
+    discount: float = 0.99
+    """gamma."""
+    gae_lambda: float = 0.98
+    """lambda of the advantage estimate."""
+    max_kl: float = 0.01
+    """Bound on the mean KL of an update [nat]."""
+    cg_steps: int = 10
+    """Conjugate gradient steps."""
+    cg_damping: float = 1e-5
+    """Added to the diagonal of the Fisher matrix."""
+    backtrack_ratio: float = 0.8
+    """Each rejected step is followed by one shorter by this factor."""
+    max_backtracks: int = 15
+    """Rejected steps before the update is given up and the parameters stay as they were."""
+
+
+class UpdateInfo(eqx.Module):
+    """What an update did."""
+
+    kl: Float[Array, "*seed"]
+    """Mean KL from the old policy to the new [nat]."""
+    improvement: Float[Array, "*seed"]
+    """Gain of the surrogate."""
+    entropy: Float[Array, "*seed"]
+    """Entropy of the new policy [nat]."""
+    backtracks: Int[Array, "*seed"]
+    """Steps that were rejected."""
+    skipped: Bool[Array, "*seed"]
+    """Whether the parameters stayed as they were: no step was accepted, the curvature was not positive, or
+    a number was not finite."""
+
+
+def update(
+    policy: GaussianPolicy,
+    obs: Float[Array, "sample obs"],
+    actions: Float[Array, "sample action"],
+    advantages: Float[Array, " sample"],
+    config: TRPOConfig,
+) -> tuple[GaussianPolicy, UpdateInfo]:
+    """One update from the samples of one iteration."""
+    theta, rebuild = ravel_pytree(policy)
+    old = jax.vmap(policy)(obs)
+    old_log_prob = jax.vmap(lambda d, a: d.log_prob(a))(old, actions)
+
+    def surrogate_and_kl(theta: Array) -> tuple[Array, Array]:
+        new = jax.vmap(rebuild(theta))(obs)
+        log_prob = jax.vmap(lambda d, a: d.log_prob(a))(new, actions)
+        surrogate = jnp.mean(jnp.exp(log_prob - old_log_prob) * advantages)
+        return surrogate, jnp.mean(jax.vmap(kl)(old, new))
+
+    before, gradient = jax.value_and_grad(lambda t: surrogate_and_kl(t)[0])(theta)
+    fisher = fisher_product(lambda t: rebuild(t), theta, obs)
+    direction = conjugate_gradient(lambda v: fisher(v) + config.cg_damping * v, gradient, config.cg_steps)
+    curvature = direction @ (fisher(direction) + config.cg_damping * direction)
+    usable = jnp.isfinite(curvature) & (curvature > 0) & jnp.isfinite(gradient).all()
+    full_step = jnp.sqrt(2 * config.max_kl / jnp.where(usable, curvature, 1.0)) * direction
+
+    def try_step(k: Array) -> tuple[Array, Array, Array, Array]:
+        candidate = theta + config.backtrack_ratio**k * full_step
+        surrogate, mean_kl = surrogate_and_kl(candidate)
+        accepted = (surrogate > before) & (mean_kl <= config.max_kl)  # false for NaN
+        return candidate, surrogate - before, mean_kl, accepted
+
+    def search_on(state: tuple) -> Array:
+        k, (_, _, _, accepted) = state
+        return ~accepted & (k + 1 < config.max_backtracks) & usable
+
+    def shorten(state: tuple) -> tuple:
+        k, _ = state
+        return k + 1, try_step(k + 1)
+
+    first = jnp.array(0)
+    k, (candidate, improvement, mean_kl, accepted) = jax.lax.while_loop(
+        search_on, shorten, (first, try_step(first))
+    )
+    accepted &= usable
+    chosen = rebuild(jnp.where(accepted, candidate, theta))
+    info = UpdateInfo(
+        kl=jnp.where(accepted, mean_kl, 0.0),
+        improvement=jnp.where(accepted, improvement, 0.0),
+        entropy=chosen.entropy(),
+        backtracks=k,
+        skipped=~accepted,
+    )
+    return chosen, info
+
+
+def fisher_product(
+    rebuild: Callable[[Array], GaussianPolicy],
+    theta: Float[Array, " parameter"],
+    obs: Float[Array, "sample obs"],
+) -> Callable[[Array], Array]:
+    """V -> F v, with F the mean Fisher matrix over the observations, which is the Hessian of the mean KL.
+
+    With J the Jacobian of (mean, log_std), F = J' diag(1 / sigma^2, 2) J: exact, and cheaper than
+    differentiating the KL twice.
+    """
+
+    def outputs(theta: Array) -> tuple[Array, Array]:
+        policy = rebuild(theta)
+        return jax.vmap(lambda o: policy(o).mu)(obs), policy.log_std
+
+    (_, log_std), push = jax.linearize(outputs, theta)
+    pull = jax.linear_transpose(push, theta)
+    precision = jnp.exp(-2 * log_std)
+
+    def product(v: Array) -> Array:
+        d_mean, d_log_std = push(v)
+        return pull((d_mean * precision / len(obs), 2 * d_log_std))[0]
+
+    return product
+
+
+def conjugate_gradient(
+    product: Callable[[Array], Array], b: Float[Array, " n"], steps: int
+) -> Float[Array, " n"]:
+    """Solves A x = b for a positive definite A given as a product; stops moving once the residual is 0."""
+
+    def one_step(state: tuple, _: None) -> tuple[tuple, None]:
+        x, r, p, rr = state
+        ap = product(p)
+        alpha = rr / jnp.maximum(p @ ap, 1e-30)
+        x, r = x + alpha * p, r - alpha * ap
+        new_rr = r @ r
+        p = r + new_rr / jnp.maximum(rr, 1e-30) * p
+        return (x, r, p, new_rr), None
+
+    (x, _, _, _), _ = jax.lax.scan(one_step, (jnp.zeros_like(b), b, b, b @ b), length=steps)
+    return x

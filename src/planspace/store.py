@@ -1,0 +1,256 @@
+"""Files that survive: every write is atomic and durable, every read is checked.
+
+A file is written under a temporary name in the same folder, flushed to disk, renamed, and the folder is
+flushed too, so that a crash at any moment leaves the old file or the new one. Nothing here is pickled.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from planspace.errors import PlanspaceError
+
+Arrays = dict[str, np.ndarray]
+
+TEMPORARY_PREFIX = ".writing-"
+CHECKSUM_KEY = "checksum"
+
+
+# --- one file ---------------------------------------------------------------------------------------
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Writes a file so that a crash leaves the old content or the new, never a part.
+
+    Raises:
+        PlanspaceError: the file cannot be written; what stood there before still stands.
+    """
+    temporary = path.parent / f"{TEMPORARY_PREFIX}{path.name}-{os.getpid()}"
+    with _explain_write(path):
+        try:
+            with open(temporary, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+            _sync_folder(path.parent)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Writes a mapping as indented JSON, atomically."""
+    write_bytes(path, (json.dumps(value, indent=2, allow_nan=False) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Reads a JSON object.
+
+    Raises:
+        PlanspaceError: the file is missing, unreadable or no JSON object.
+    """
+    try:
+        value = json.loads(read_bytes(path))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise PlanspaceError(f"{path} is not valid JSON ({error}).") from error
+    if not isinstance(value, dict):
+        raise PlanspaceError(f"{path} should hold a JSON object, got a {type(value).__name__}.")
+    return value
+
+
+def read_bytes(path: Path) -> bytes:
+    """Reads a whole file.
+
+    Raises:
+        PlanspaceError: it is missing or unreadable.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise PlanspaceError(f"cannot read {path}: {error.strerror}.") from error
+
+
+def write_sealed(path: Path, value: Mapping[str, Any]) -> None:
+    """Writes a JSON object together with a checksum of its own content."""
+    plain = json.loads(json.dumps(value))
+    write_json(path, {**plain, CHECKSUM_KEY: json_hash(plain)})
+
+
+def read_sealed(path: Path) -> dict[str, Any]:
+    """Reads a JSON object written by `write_sealed` and verifies its checksum.
+
+    Raises:
+        PlanspaceError: missing, not JSON, or altered since it was written.
+    """
+    value = read_json(path)
+    checksum = value.pop(CHECKSUM_KEY, None)
+    if checksum != json_hash(value):
+        raise PlanspaceError(
+            f"{path} does not match its own checksum: it was altered or damaged. "
+            "Restore it from a copy, or make the folder again."
+        )
+    return value
+
+
+def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None = None) -> str:
+    """Writes named arrays as one safetensors file.
+
+    Args:
+        path: the file.
+        arrays: the arrays by name.
+        about: plain data to keep in the same file, so that both change in one step.
+
+    Returns:
+        The SHA-256 of the file.
+    """
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    metadata = {"about": json.dumps(about, sort_keys=True)} if about is not None else None
+    data = safetensors.numpy.save(contiguous, metadata=metadata)
+    write_bytes(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_arrays(path: Path, *, sha256: str | None = None) -> Arrays:
+    """Reads the arrays of a safetensors file.
+
+    Args:
+        path: the file.
+        sha256: what its hash must be; not checked if None.
+
+    Raises:
+        PlanspaceError: missing, damaged, or its hash is another.
+    """
+    data = read_bytes(path)
+    if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
+        raise PlanspaceError(
+            f"{path} was altered or damaged: its SHA-256 is not the one recorded for it. "
+            "Restore it from a copy, or make the folder again."
+        )
+    try:
+        return safetensors.numpy.load(data)
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise PlanspaceError(f"{path} is not a readable safetensors file ({error}).") from error
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """Reads the plain data kept in a safetensors file by `write_arrays`.
+
+    Raises:
+        PlanspaceError: missing, damaged, or written without it.
+    """
+    data = read_bytes(path)
+    try:
+        size = int.from_bytes(data[:8], "little")
+        return json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["about"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise PlanspaceError(f"{path} does not hold the description expected in it.") from error
+
+
+def append_row(path: Path, row: Mapping[str, Any]) -> None:
+    """Appends one JSON line to a log."""
+    with _explain_write(path), open(path, "a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+# --- one folder -------------------------------------------------------------------------------------
+
+
+def make_folder(path: Path) -> Path:
+    """Makes a folder and those above it, and checks that it can be written.
+
+    Raises:
+        PlanspaceError: it cannot be made or written.
+    """
+    with _explain_write(path):
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f"{TEMPORARY_PREFIX}probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    return path
+
+
+def open_run(path: Path, config: Mapping[str, Any]) -> Path:
+    """Opens a run folder, new or to be continued.
+
+    Args:
+        path: the folder.
+        config: the resolved settings, plain data; kept as `config.json`.
+
+    Returns:
+        The folder.
+
+    Raises:
+        PlanspaceError: it cannot be written, holds something else, or was made with other settings
+            (each difference is named).
+    """
+    make_folder(path)
+    kept = path / "config.json"
+    config = json.loads(json.dumps(config))
+    if not kept.exists():
+        strangers = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
+        if strangers:
+            raise PlanspaceError(
+                f"{path} is not empty and is not a planspace run (it holds {sorted(strangers)[0]!r}); "
+                "choose another --out."
+            )
+        write_json(kept, config)
+        return path
+    differences = list(_differences(read_json(kept), config))
+    if differences:
+        raise PlanspaceError(
+            f"{path} was made with other settings: {'; '.join(differences)}. "
+            "Choose another --out, or give the same settings to continue it."
+        )
+    return path
+
+
+# --- hashes -----------------------------------------------------------------------------------------
+
+
+def json_hash(value: Mapping[str, Any]) -> str:
+    """SHA-256 of plain data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def _differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for key in sorted(old.keys() | new.keys()):
+        before, now = old.get(key), new.get(key)
+        if isinstance(before, dict) and isinstance(now, dict):
+            yield from _differences(before, now, f"{prefix}{key}.")
+        elif before != now:
+            yield f"{prefix}{key} was {before!r}, now {now!r}"
+
+
+@contextlib.contextmanager
+def _explain_write(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise PlanspaceError(
+            f"cannot write {path}: {error.strerror}. What was saved before is intact; "
+            "make room or choose another --out, and run the same command again."
+        ) from error
+
+
+def _sync_folder(path: Path) -> None:
+    if os.name == "nt":  # Windows cannot open a folder to flush it
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,231 @@
+"""`planspace run`: from nothing to a first result, through every stage, on real physics."""
+
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+import planspace
+from planspace.demos.dataset import Demos, load_demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.fit import PRESETS, FitConfig, fit
+from planspace.errors import PlanspaceError, unknown
+from planspace.physics.simulate import load_model
+from planspace.physics.space import StateSpace
+from planspace.plan.generate import PlannerConfig, generate
+from planspace.plan.problem import load_problem
+from planspace.plan.sst import SSTConfig
+from planspace.rl.train import TrainConfig, train
+from planspace.store import Arrays, open_run, write_json
+from planspace.study.report import write_report
+from planspace.tasks import find_task
+
+BudgetName = Literal["smoke", "small", "full"]
+NEAR_GOAL = 0.5
+"""L1 distance to the goal within which a demonstration counts as having come near it."""
+FINAL_ITERATIONS = 10
+"""The closing table averages each seed's return over this many last iterations."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much of each stage."""
+
+    demos: int
+    """Demonstrations to plan."""
+    planner: PlannerConfig
+    """How to plan them."""
+    fit: FitConfig
+    """How to train the embedding."""
+    embedding_seeds: int
+    """Embeddings trained side by side, the best of which is kept."""
+    seeds: int
+    """Policies trained side by side for each arm."""
+    steps: int
+    """Environment steps for each of them."""
+
+
+BUDGETS: dict[str, Budget] = {
+    "smoke": Budget(
+        demos=12,
+        planner=PlannerConfig(sst=SSTConfig(min_rounds=10)),
+        fit=replace(PRESETS["modern"], steps=1_500),
+        embedding_seeds=5,
+        seeds=5,
+        steps=40_000,
+    ),
+    "small": Budget(
+        demos=60,
+        planner=PlannerConfig(),
+        fit=PRESETS["modern"],
+        embedding_seeds=5,
+        seeds=5,
+        steps=960_000,
+    ),
+    "full": Budget(
+        demos=300,
+        planner=PlannerConfig(),
+        fit=PRESETS["modern"],
+        embedding_seeds=5,
+        seeds=15,
+        steps=2_000_000,
+    ),
+}
+
+
+def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[str, Any]:
+    """Plans, embeds, trains and reports; finished stages are kept, an interrupted one goes on.
+
+    Args:
+        task_name: a task's command-line name.
+        budget_name: a key of `BUDGETS`.
+        out: the run's folder.
+        seed: the seed of every stage.
+
+    Returns:
+        The summary, as in `summary.json`.
+
+    Raises:
+        PlanspaceError: a stage failed; what was done before it is saved.
+    """
+    task = find_task(task_name)
+    if budget_name not in BUDGETS:
+        raise unknown("budget", budget_name, BUDGETS)
+    budget = BUDGETS[budget_name]
+    open_run(
+        out,
+        {
+            "command": "run",
+            "task": task_name,
+            "budget": budget_name,
+            "seed": seed,
+            "settings": asdict(budget),
+            "version": planspace.__version__,
+        },
+    )
+    problem = load_problem(task.problem)
+    generate(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
+    demos = load_demos(out / "demos")
+    embedding = fit(demos, out / "embedding", config=budget.fit, num_seeds=budget.embedding_seeds, seed=seed)
+    histories = {
+        label: train(config, out / "train" / folder, embedding if config.z != "none" else None)
+        for label, folder, config in _arms(task_name, budget, seed)
+    }
+    summary = summarise(task_name, budget_name, seed, demos, embedding, histories)
+    write_json(out / "summary.json", summary)
+    write_report(out, summary, demos, embedding, histories)
+    return summary
+
+
+def rebuild(out: Path) -> dict[str, Any]:
+    """Writes the report of a finished run anew, from what its folder holds."""
+    from planspace.store import read_json
+
+    config = read_json(out / "config.json")
+    if config.get("command") != "run":
+        raise PlanspaceError(f"{out} is not the folder of a `planspace run`.")
+    return run(config["task"], config["budget"], out, config["seed"])
+
+
+def _arms(task_name: str, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
+    """Label, folder and settings of each arm; `trig` is left out where the task observes it already."""
+    base = TrainConfig(task=task_name, num_seeds=budget.seeds, seed=seed, steps=budget.steps)
+    raw = ("raw", "raw", base)
+    if not find_task(task_name).trig_columns:
+        return [raw, ("raw + z", "raw-z", replace(base, z="augment"))]
+    return [
+        raw,
+        ("raw + sin/cos", "trig", replace(base, obs="trig")),
+        ("raw + sin/cos + z", "trig-z", replace(base, obs="trig", z="augment")),
+    ]
+
+
+def summarise(
+    task_name: str,
+    budget_name: str,
+    seed: int,
+    demos: Demos,
+    embedding: Embedding,
+    histories: dict[str, Arrays],
+) -> dict[str, Any]:
+    """The closing table as plain data."""
+    distances = _end_distances(demos)
+    durations = demos.times[demos.offsets[1:] - 1]
+    about = embedding.about
+    return {
+        "task": task_name,
+        "budget": budget_name,
+        "seed": seed,
+        "version": planspace.__version__,
+        "demos": {
+            "count": len(demos),
+            "share_near_goal": float(np.mean(distances <= NEAR_GOAL)),
+            "near_goal": NEAR_GOAL,
+            "median_end_distance": float(np.median(distances)),
+            "median_duration_s": float(np.median(durations)),
+        },
+        "geometry": {
+            "split": "test",
+            "embedding_seed": about["seed"],
+            "embedding": _without_nan(about["metrics"]["test"]),
+            "raw_state": _without_nan(about["metrics_raw_state"]),
+        },
+        "arms": {label: _arm_row(history) for label, history in histories.items()},
+    }
+
+
+def _arm_row(history: Arrays) -> dict[str, Any]:
+    final = history["return"][-FINAL_ITERATIONS:].mean(axis=0)
+    return {
+        "steps": int(history["steps"][-1]),
+        "seeds": len(final),
+        "mean": float(final.mean()),
+        "worst": float(final.min()),
+        "best": float(final.max()),
+        "deviation": float(final.std(ddof=1)) if len(final) > 1 else 0.0,
+    }
+
+
+def _end_distances(demos: Demos) -> np.ndarray:
+    space = StateSpace.from_model(load_model(demos.info.mjcf), demos.info.joints)
+    return space.distance(demos.states[demos.offsets[1:] - 1], demos.goals)
+
+
+def _without_nan(metrics: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in metrics.items()}
+
+
+def closing_table(summary: dict[str, Any]) -> str:
+    """The summary as text for a terminal."""
+    demos, geometry = summary["demos"], summary["geometry"]
+    lines = [
+        f"{summary['task']}, budget {summary['budget']}, seed {summary['seed']}",
+        "",
+        f"demonstrations   {demos['count']} planned, {demos['share_near_goal']:.0%} end within "
+        f"{demos['near_goal']} of the goal (median {demos['median_end_distance']:.3f}), median duration "
+        f"{demos['median_duration_s']:.2f} s",
+        "",
+        f"geometry on {geometry['embedding']['num_demos']} test demos    z     raw state",
+    ]
+    lines += [
+        f"  {name:<22}{geometry['embedding'][key]:>8.3f}{geometry['raw_state'][key]:>12.3f}   {hint}"
+        for key, name, hint in GEOMETRY_ROWS
+    ]
+    lines += ["", f"return of TRPO, last {FINAL_ITERATIONS} iterations    mean     worst      best   seeds"]
+    lines += [
+        f"  {label:<28}{row['mean']:>12.1f}{row['worst']:>10.1f}{row['best']:>10.1f}{row['seeds']:>8}"
+        for label, row in summary["arms"].items()
+    ]
+    return "\n".join(lines)
+
+
+GEOMETRY_ROWS = (
+    ("straightness", "straightness", "1 is a straight line"),
+    ("speed_variation", "speed variation", "0 is constant speed"),
+    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
+    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
+    ("effective_rank", "effective rank", "dimensions in use"),
+    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
+)

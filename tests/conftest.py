@@ -1,0 +1,60 @@
+"""Fixtures: small real artefacts, made once a session."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos, load_demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.fit import PRESETS, fit
+from planspace.plan.generate import PlannerConfig, generate
+from planspace.plan.problem import load_problem
+from planspace.plan.sst import SSTConfig
+
+RELEASED = Path(__file__).parents[2] / "shared" / "data" / "released-2020"
+
+QUICK_PLANNER = PlannerConfig(sst=SSTConfig(extensions=256, min_rounds=4))
+QUICK_FIT = replace(PRESETS["modern"], steps=300, batch=64)
+
+
+@pytest.fixture(scope="session")
+def released() -> Path:
+    """The demonstrations released in 2020; a developer has them beside the checkout, a user does not."""
+    if not RELEASED.exists():
+        pytest.skip("the released demonstrations are not beside this checkout")
+    return RELEASED
+
+
+@pytest.fixture(scope="session")
+def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve planned swing-ups."""
+    out = tmp_path_factory.mktemp("demos") / "demos"
+    generate(load_problem("cartpole-swingup"), out, num=12, seed=0, config=QUICK_PLANNER)
+    return out
+
+
+@pytest.fixture(scope="session")
+def demos(demo_folder: Path) -> Demos:
+    return load_demos(demo_folder)
+
+
+@pytest.fixture(scope="session")
+def embedding_folder(demos: Demos, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An embedding of those, trained briefly, two seeds."""
+    out = tmp_path_factory.mktemp("embedding") / "embedding"
+    fit(demos, out, config=QUICK_FIT, num_seeds=2, seed=0)
+    return out
+
+
+@pytest.fixture
+def embedding(embedding_folder: Path) -> Embedding:
+    from planspace import load_embedding
+
+    return load_embedding(embedding_folder)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)

@@ -1,0 +1,109 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+from planspace import load_embedding
+from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
+from planspace.errors import PlanspaceError
+
+NUMPY_TOLERANCE = 1e-5
+INPUTS = Inputs(
+    ("x", "theta", "xd", "thetad"),
+    ("m", "rad", "m/s", "rad/s"),
+    (1,),
+    "trig",
+    np.full(5, 0.1),
+    np.full(5, 2.0),
+)
+
+
+def layers(network: GaussianNetwork) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    return [np.asarray(w) for w in network.weights], [np.asarray(b) for b in network.biases]
+
+
+def test_numpy_inference_is_the_jax_model(rng: np.random.Generator) -> None:
+    model = PlanSpaceModel(5, 3, 0.2, key=jr.key(0))
+    embedding = Embedding(INPUTS, layers(model.encode), layers(model.decode), 0.2)
+    states = rng.normal(0, 3, (50, 4))
+    q = jax.vmap(model.encode)(jnp.asarray(INPUTS(states), dtype=jnp.float32))
+    mu, sigma = embedding.encode_distribution(states)
+    np.testing.assert_allclose(mu, q.mu, atol=NUMPY_TOLERANCE)
+    np.testing.assert_allclose(sigma, q.sigma, atol=NUMPY_TOLERANCE)
+    decoded = jax.vmap(lambda z: model.decode(z).mu)(q.mu)
+    np.testing.assert_allclose(embedding.decode(mu), INPUTS.invert(np.asarray(decoded)), atol=1e-4)
+
+
+def test_inputs_by_hand_and_back() -> None:
+    state = np.array([0.5, 7.0, -1.0, 2.0])
+    expected = (np.array([0.5, np.sin(7.0), np.cos(7.0), -1.0, 2.0]) - 0.1) / 2.0
+    np.testing.assert_allclose(INPUTS(state), expected)
+    np.testing.assert_allclose(INPUTS.invert(INPUTS(state)), [0.5, 7.0 - 2 * np.pi, -1.0, 2.0])
+
+
+def test_windings_do_not_matter(embedding: Embedding) -> None:
+    state = np.array([0.1, 1.0, 0.2, 0.3])
+    wound = state + np.array([0, 2 * np.pi, 0, 0])
+    np.testing.assert_allclose(embedding.encode(wound), embedding.encode(state), atol=1e-5)
+    assert embedding.distance(state, wound) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_any_batch_shape(embedding: Embedding, rng: np.random.Generator) -> None:
+    states = rng.normal(size=(2, 3, 4))
+    z = embedding.encode(states)
+    assert z.shape == (2, 3, embedding.z_dim)
+    np.testing.assert_allclose(z[1, 2], embedding.encode(states[1, 2]), atol=1e-5)
+
+
+def test_saving_twice_is_refused_and_loading_gives_the_same(
+    embedding: Embedding, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    embedding.save(tmp_path / "e")
+    with pytest.raises(PlanspaceError, match="already holds an embedding"):
+        embedding.save(tmp_path / "e")
+    back, states = load_embedding(tmp_path / "e"), rng.normal(size=(9, 4))
+    np.testing.assert_array_equal(back.encode(states), embedding.encode(states))
+    assert back.about == embedding.about
+    assert back.hash == embedding.hash
+
+
+@pytest.mark.parametrize("file", ["embedding.json", "embedding.safetensors"])
+def test_an_altered_embedding_is_refused_by_name(embedding: Embedding, file: str, tmp_path: Path) -> None:
+    embedding.save(tmp_path / "e")
+    path = tmp_path / "e" / file
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(PlanspaceError, match=file):
+        load_embedding(tmp_path / "e")
+
+
+def test_other_states_and_folders_are_refused(embedding: Embedding, tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match=r"states of 4 numbers \(slider, hinge, .*\), got 6"):
+        embedding.encode(np.zeros((2, 6)))
+    with pytest.raises(PlanspaceError, match="is not an embedding"):
+        load_embedding(tmp_path)
+
+
+def test_a_constant_column_is_named() -> None:
+    states = np.random.default_rng(0).normal(size=(20, 2))
+    states[:, 1] = 3.0
+    with pytest.raises(PlanspaceError, match="the state 'b' is constant"):
+        Inputs.fit(states, ("a", "b"), ("", ""), (), "trig")
+
+
+def test_loading_needs_neither_jax_nor_mujoco(embedding_folder: Path) -> None:
+    """`planspace` itself imports MuJoCo for its tasks; the artefact's module does not need it."""
+    code = (
+        "import sys; sys.modules['jax'] = None; sys.modules['matplotlib'] = None\n"
+        "import numpy as np, planspace\n"
+        f"e = planspace.load_embedding({str(embedding_folder)!r}); print(e.encode(np.zeros(4)).shape)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(3,)"

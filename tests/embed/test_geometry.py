@@ -1,0 +1,124 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.convert import import_npz
+from planspace.demos.dataset import Demos, Episode, StateInfo, load_demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.geometry import (
+    effective_rank,
+    measure,
+    measure_map,
+    measure_raw_state,
+    scaled_errors,
+)
+from planspace.errors import PlanspaceError
+
+INFO = StateInfo(("x", "y"), ("m", "m"), (), 1)
+
+
+def demos_of(*paths: np.ndarray) -> Demos:
+    return Demos.from_episodes(
+        INFO,
+        [
+            Episode(z, np.zeros((len(z) - 1, 1)), np.arange(len(z)) * 0.1, np.zeros(2), True, i, 0)
+            for i, z in enumerate(paths)
+        ],
+    )
+
+
+def geometry_of(*paths: np.ndarray):
+    return measure_map(lambda x: x, demos_of(*paths), np.arange(len(paths)), decoded_error=0.0)
+
+
+def test_a_straight_line_at_constant_speed_is_perfect() -> None:
+    line = np.linspace([0.0, 0.0], [3.0, 4.0], 25)
+    g = geometry_of(line, 2 * line)
+    assert g.straightness == pytest.approx(1.0)
+    assert g.speed_variation == pytest.approx(0.0, abs=1e-9)
+    assert g.midpoint_error == pytest.approx(0.0, abs=1e-9)
+    assert g.time_correlation == pytest.approx(1.0)
+    assert g.path_error == pytest.approx(0.0, abs=1e-9)  # chord and length are the same up to C
+    assert g.effective_rank == pytest.approx(1.0)  # ... and worth little: one dimension is left
+
+
+def test_a_right_angle_by_hand() -> None:
+    # 10 steps along x, then 10 along y, each of length 1: chord sqrt(200), path 20
+    corner = np.array([[i, 0] for i in range(11)] + [[10, j] for j in range(1, 11)], float)
+    g = geometry_of(corner)
+    assert g.straightness == pytest.approx(np.sqrt(200) / 20)
+    assert g.speed_variation == pytest.approx(0.0, abs=1e-12)
+    # spacing 5: t from 5 to 15; off the midpoint only from t = 6 to 14, where |z_t - mid| over |b - a|
+    # with k = t - 10 steps past the corner, arms 5 - k and 5 + k; spacing 10: the one triplet of both ends
+    five = [_corner_error(t, 5) for t in range(5, 16)]
+    ten = [_corner_error(10, 10)]
+    assert g.midpoint_error == pytest.approx((np.mean(five) + np.mean(ten)) / 2)
+
+
+def _corner_error(t: int, s: int) -> float:
+    def at(i: int) -> np.ndarray:
+        return np.array([min(i, 10), max(i - 10, 0)], float)
+
+    a, b = at(t - s), at(t + s)
+    return float(np.linalg.norm(at(t) - (a + b) / 2) / np.linalg.norm(b - a))
+
+
+def test_a_constant_map_wins_nothing() -> None:
+    demos = demos_of(np.random.default_rng(0).normal(size=(30, 2)).cumsum(axis=0))
+    g = measure_map(lambda x: np.zeros((len(x), 3)), demos, np.array([0]), decoded_error=1.0)
+    assert (g.straightness, g.time_correlation, g.effective_rank, g.active_dims) == (0.0, 0.0, 0.0, 0)
+    assert g.midpoint_error == 0.0  # as defined; which is why it never stands alone
+
+
+def test_the_scale_factor_is_the_best_one() -> None:
+    d, y = np.array([1.0, 2.0, 4.0]), np.array([2.0, 5.0, 7.0])
+    best = np.sum((y / y.mean() - _scale(d, y) * d) ** 2)
+    assert np.sum(scaled_errors(d, y) ** 2) == pytest.approx(best)
+    for nudge in (-1e-3, 1e-3):
+        assert np.sum((y / y.mean() - (_scale(d, y) + nudge) * d) ** 2) > best
+
+
+def _scale(d: np.ndarray, y: np.ndarray) -> float:
+    return float(np.sum(d * y / y.mean()) / np.sum(d**2))
+
+
+def test_effective_rank_counts_equal_dimensions() -> None:
+    assert effective_rank(np.eye(3)) == pytest.approx(3.0)
+    assert effective_rank(np.diag([1.0, 1.0, 0.0])) == pytest.approx(2.0)
+
+
+ANCHORS = {
+    "cartpole_swingup.npz": (0.090, 1.275, 0.451, 0.348, 0.302),
+    "reacher_limited.npz": (0.122, 0.985, 0.641, 0.561, 0.518),
+}
+"""Straightness, speed variation, midpoint error, time correlation; path error with d in raw numbers."""
+ANCHOR_TOLERANCES = (1e-3, 1e-3, 6e-3, 1e-3, 1e-3)
+
+
+@pytest.mark.parametrize("file", ANCHORS)
+def test_raw_state_anchors_on_the_released_data(released: Path, file: str, tmp_path: Path) -> None:
+    """The numbers measured independently when the project was designed, on all released demos."""
+    import_npz(released / file, tmp_path / "demos", None)
+    demos = load_demos(tmp_path / "demos")
+    everything = np.arange(len(demos))
+    g = measure_raw_state(demos, everything, everything)
+    states = [demos.episode(i).states for i in range(len(demos))]
+    chord = np.array([np.linalg.norm(x[-1] - x[0]) for x in states])
+    length = np.array([np.linalg.norm(np.diff(x, axis=0), axis=1).sum() for x in states])
+    path_error = scaled_errors(chord, length).mean()
+    got = (g.straightness, g.speed_variation, g.midpoint_error, g.time_correlation, path_error)
+    assert (np.abs(np.subtract(got, ANCHORS[file])) <= ANCHOR_TOLERANCES).all(), got
+
+
+def test_demos_of_other_states_are_refused(embedding: Embedding) -> None:
+    demos = demos_of(np.zeros((20, 2)) + np.arange(20)[:, None])
+    with pytest.raises(
+        PlanspaceError, match=r"reads the states \(slider, .*the demonstrations have \(x, y\)"
+    ):
+        measure(embedding, demos, np.array([0]))
+
+
+def test_demos_too_short_to_measure_are_refused() -> None:
+    with pytest.raises(PlanspaceError, match="no demonstration has the 12 states"):
+        geometry_of(np.zeros((11, 2)))

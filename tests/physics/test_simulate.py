@@ -1,0 +1,96 @@
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from planspace.errors import PlanspaceError
+from planspace.physics.simulate import Simulator, load_model, replay
+from planspace.physics.space import StateSpace
+from planspace.tasks import TASKS
+
+RELEASED_TOLERANCE = 1e-3
+RELEASED_STEPS = 50
+
+
+@pytest.mark.parametrize(
+    ("task", "file"), [("cartpole", "cartpole_swingup.npz"), ("reacher-raw", "reacher_limited.npz")]
+)
+def test_released_controls_replay(released: Path, task: str, file: str) -> None:
+    """The 2020 plant: every released plan's controls, with their own time steps, give its states."""
+    data = np.load(released / file)
+    model, space = TASKS[task].compile()
+
+    def worst(model: mujoco.MjModel) -> float:
+        errors = []
+        for a, b in zip(data["offsets"][:-1], data["offsets"][1:], strict=True):
+            stop = min(b, a + RELEASED_STEPS + 1)
+            states = data["states"][a:stop].astype(float)
+            times = data["time"][a:stop].astype(float)
+            controls = data["controls"][a : stop - 1].astype(float)
+            errors.append(np.abs(replay(model, space, states[0], controls, times) - states).max())
+        return max(errors)
+
+    assert worst(model) <= RELEASED_TOLERANCE
+    model.dof_damping[0] *= 1.01  # the planted fault: a plant one percent off is found out
+    assert worst(model) > RELEASED_TOLERANCE
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_batch_equals_a_plain_loop_bit_for_bit(threads: int, rng: np.random.Generator) -> None:
+    model, space = TASKS["cartpole-swingup"].compile()
+    starts = rng.uniform(-0.5, 0.5, (7, 4))
+    controls = rng.uniform(-3, 3, (20, 7, 1))
+    simulator = Simulator(model, space, 7, threads=threads)
+    simulator.reset(starts)
+    for step in controls:
+        simulator.step(step)
+    times = np.arange(21) * model.opt.timestep
+    plain = [replay(model, space, starts[i], controls[:, i], times)[-1] for i in range(7)]
+    np.testing.assert_array_equal(simulator.states(), plain)
+
+
+def test_propagate_gives_each_edge_its_own_duration(rng: np.random.Generator) -> None:
+    model, space = TASKS["cartpole-swingup"].compile()
+    simulator = Simulator(model, space, 16, threads=1)
+    starts, controls = rng.uniform(-0.3, 0.3, (10, 4)), rng.uniform(-3, 3, (10, 1))
+    durations = np.array([3, 1, 10, 7, 3, 2, 9, 1, 5, 4])
+    ends, valid = simulator.propagate(starts, controls, durations)
+    assert valid.all()
+    for i, n in enumerate(durations):
+        plain = replay(model, space, starts[i], np.repeat(controls[i : i + 1], n, 0), np.arange(n + 1) * 0.02)
+        np.testing.assert_array_equal(ends[i], plain[-1])
+
+
+def test_propagate_refuses_an_edge_that_leaves_the_rail_in_between() -> None:
+    model, space = TASKS["cartpole-swingup"].compile()
+    simulator = Simulator(model, space, 2, threads=1)
+    starts = np.array([[0.98, np.pi, 3.0, 0.0], [0.0, np.pi, 0.0, 0.0]])
+    # full thrust backwards: the first overshoots the end of the rail before it turns round
+    ends, valid = simulator.propagate(starts, np.array([[-3.0], [-3.0]]), np.array([10, 10]))
+    assert abs(ends[0, 0]) < 1.0  # it is back inside at the end
+    assert valid.tolist() == [False, True]
+
+
+def test_divergence_is_seen_and_does_not_reset_the_state() -> None:
+    task = TASKS["cartpole-swingup"]
+    model, space = task.compile()
+    model.opt.timestep = 50.0
+    simulator = Simulator(model, space, 2, threads=1)
+    simulator.reset(np.array([[0.5, 1.0, 30.0, 40.0], [0.5, 1.0, 30.0, 40.0]]))
+    for _ in range(20):
+        simulator.step(np.array([[3.0], [3.0]]))
+    assert simulator.diverged().all()
+    simulator.reset(np.zeros((1, 4)), np.array([0], dtype=np.int32))
+    assert simulator.diverged().tolist() == [False, True]  # a reset clears its own warnings alone
+
+
+def test_a_model_that_does_not_compile_says_what_mujoco_said() -> None:
+    with pytest.raises(PlanspaceError, match="the model does not compile: .*unrecognized"):
+        load_model("<mujoco><worldbody><nonsense/></worldbody></mujoco>")
+
+
+def test_models_keep_their_divergence() -> None:
+    model = load_model("<mujoco/>")
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    assert StateSpace.from_model(model, []).size == 0
