@@ -398,9 +398,9 @@ def _parse(arguments: list[str]) -> Any:
 
 
 def _one_line(box: str) -> str:
-    """Takes the text out of a drawn box."""
-    lines = [line.strip("│╭╮╰╯─ ") for line in box.splitlines() if line.startswith("│")]
-    return " ".join(line for line in lines if line)
+    """Takes the text out of a drawn box, whose first line is its frame and title."""
+    lines = [line.strip("│|").strip() for line in box.splitlines()[1:]]
+    return " ".join(line for line in lines if line.strip("─-╰╯+"))
 
 
 def _print(value: dict[str, Any], as_json: bool, indent: str = "") -> None:

@@ -164,7 +164,7 @@ class Embedding:
         self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
     ) -> Float[np.ndarray, "*batch3"]:
         """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
-        return np.linalg.norm(self.encode(a) - self.encode(b), axis=-1)
+        return np.asarray(np.linalg.norm(self.encode(a) - self.encode(b), axis=-1))
 
     def save(self, path: Path) -> None:
         """Saves it in a folder; the description is written last, and without it there is no embedding.

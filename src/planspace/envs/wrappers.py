@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -21,7 +21,7 @@ class PlanSpaceObservation(
         self,
         env: gymnasium.Env[Any, Any],
         embedding: str | Path,
-        mode: Literal["augment", "replace"] = "augment",
+        mode: str = "augment",
         columns: Sequence[int] | None = None,
     ):
         """Wraps an environment with a flat Box observation.

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib.figure
 import numpy as np
 import plotly.graph_objects as go
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
 from planspace.demos.plot import COLOURMAP, time_left_scale
@@ -26,7 +26,7 @@ COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33")
 class Curve:
     """A learning curve in the paper's manner."""
 
-    steps: Float[np.ndarray, " iteration"]
+    steps: Int[np.ndarray, " iteration"]
     """Environment steps a seed."""
     mean: Float[np.ndarray, " iteration"]
     """Mean over seeds of the smoothed returns."""

@@ -1,0 +1,135 @@
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import planspace
+from planspace.envs.batch import TaskBatch
+from planspace.errors import UsageError
+from planspace.tasks import TASKS, Task, find_task, fingertip
+
+IDS = [task.env_id for task in TASKS.values()]
+NAMED_WARNINGS = ("symmetric and normalized space", "minimum value is -infinity", "maximum value is infinity")
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_gymnasium_accepts_every_task(env_id: str) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        env = gymnasium.make(env_id)
+        check_env(env.unwrapped, skip_render_check=True)
+    strange = [str(w.message) for w in caught if not any(n in str(w.message) for n in NAMED_WARNINGS)]
+    assert strange == []
+    assert env.spec is not None and env.spec.max_episode_steps == env.unwrapped.task.horizon  # pyright: ignore
+
+
+def test_gymnasium_can_import_the_module_by_itself() -> None:
+    assert gymnasium.make("planspace:planspace/CartPole-v0").spec is not None
+
+
+def test_reward_of_the_swing_up_by_hand() -> None:
+    reward = TASKS["cartpole-swingup"].reward
+    after = np.array([[0, 2 * np.pi + 0.05, 0, 0], [0, -3.0, 0, 0], [0, 0.3, 0, 0]])
+    control = np.array([[0.0], [3.0], [-1.0]])
+    # upright after one winding: -0.05 + 1; hanging at full thrust: -3 - 0.9; tilted: -0.3 - 0.1
+    np.testing.assert_allclose(reward(after, after, control, np.empty((3, 0))), [0.95, -3.9, -0.4])
+
+
+def test_reward_of_the_reacher_by_hand() -> None:
+    reward = TASKS["reacher-raw"].reward
+    before = np.array([[0.0, np.pi / 2, 0.0, 0.0]])  # elbow at (0.1, 0), fingertip at (0.1, 0.11)
+    np.testing.assert_allclose(fingertip(before), [[0.1, 0.11]], atol=1e-12)
+    after, target = before + 1.0, np.array([[0.1, 0.0]])
+    # from the pose before the step: -0.11 - 0.1 (1 + 0.25)
+    np.testing.assert_allclose(reward(before, after, np.array([[1.0, 0.5]]), target), [-0.235])
+
+
+def test_fingertip_is_where_mujoco_has_it(rng: np.random.Generator) -> None:
+    import mujoco
+
+    model, space = TASKS["reacher-raw"].compile()
+    data = mujoco.MjData(model)
+    for state in rng.uniform(-3, 3, (10, 4)):
+        space.write(state, data.qpos, data.qvel)
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(fingertip(state[None])[0], data.body("fingertip").xpos[:2], atol=1e-12)
+
+
+def test_the_applied_control_is_what_is_charged() -> None:
+    batch = TaskBatch(TASKS["cartpole-swingup"], 2, threads=1)
+    batch.reset(np.zeros((2, 4)), np.empty((2, 0)))
+    reward, _, _ = batch.step(np.array([[3.0], [1e6]]))
+    assert reward[0] == reward[1]
+    np.testing.assert_array_equal(batch.states[0], batch.states[1])
+
+
+def test_balance_ends_when_the_pole_falls() -> None:
+    env = gymnasium.make("planspace/CartPole-v0")
+    env.reset(seed=0)
+    for _ in range(100):
+        _, reward, terminated, truncated, info = env.step(np.array([3.0], dtype=np.float32))
+        assert reward == 1.0
+        if terminated:
+            break
+    assert terminated and not truncated
+    assert abs(info["state"][1]) > 0.2
+
+
+CHECK_FIGURES = {"idle": (-600.0, 23.0), "noise": (-567.0, 25.0)}
+"""Mean and deviation over starts of the swing-up's return; the deviation of `noise` is ours."""
+
+
+@pytest.mark.parametrize("kind", CHECK_FIGURES)
+def test_idle_and_noise_earn_what_they_should(kind: str, rng: np.random.Generator) -> None:
+    task, num = TASKS["cartpole-swingup"], 400
+    batch = TaskBatch(task, num)
+    batch.reset(*task.sample_starts(num, rng))
+    total = np.zeros(num)
+    for _ in range(task.horizon):
+        actions = rng.standard_normal((num, 1)) if kind == "noise" else np.zeros((num, 1))
+        total += batch.step(actions)[0]
+    mean, deviation = CHECK_FIGURES[kind]
+    assert abs(total.mean() - mean) < 8
+    assert abs(total.std() - deviation) < 5
+
+
+def test_divergence_truncates_and_says_so() -> None:
+    env = gymnasium.make("planspace/CartPoleSwingUp-v0").unwrapped
+    env._batch.simulator.model.opt.timestep = 0.02  # pyright: ignore
+    env.reset(seed=0, options={"state": [0.0, 1.0, 1e9, 1e9]})
+    for _ in range(5):
+        obs, reward, _, truncated, info = env.step(np.array([0.0], dtype=np.float32))
+        if truncated:
+            break
+    assert truncated and info["diverged"] and reward == 0.0
+    assert np.isfinite(obs).all()
+
+
+def test_starts_from_a_given_state_and_refuses_another_size() -> None:
+    env = gymnasium.make("planspace/CartPoleSwingUp-v0", obs="trig")
+    obs, info = env.reset(options={"state": [0.1, 0.5, 0.0, 0.0]})
+    np.testing.assert_allclose(obs, [0.1, 0.5, 0, 0, np.sin(0.5), np.cos(0.5)], atol=1e-6)
+    np.testing.assert_array_equal(info["state"], [0.1, 0.5, 0.0, 0.0])
+    with pytest.raises(UsageError, match=r"a state has 4 numbers, options give \(2,\)"):
+        env.reset(options={"state": [0.0, 0.0]})
+
+
+def test_tasks_are_found_by_name_and_suggest_the_nearest() -> None:
+    assert isinstance(find_task("cartpole"), Task)
+    with pytest.raises(UsageError, match="unknown task 'reacher'. Did you mean 'reacher-"):
+        find_task("reacher")
+
+
+def test_specs_survive_json_and_pickle() -> None:
+    for env_id in IDS:
+        spec = gymnasium.make(env_id).spec
+        assert spec is not None
+        again = gymnasium.make(type(spec).from_json(spec.to_json()))
+        assert pickle.loads(pickle.dumps(spec)).id == again.spec.id == env_id  # pyright: ignore
+
+
+def test_the_package_says_its_version() -> None:
+    assert planspace.__version__

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from planspace.embed.gaussian import kl
+from planspace.rl.policy import Actor, GaussianPolicy
+from planspace.rl.trpo import TRPOConfig, conjugate_gradient, fisher_product, update
+
+CONFIG = TRPOConfig()
+
+
+@pytest.fixture
+def policy() -> GaussianPolicy:
+    return GaussianPolicy(3, 2, key=jr.key(0))
+
+
+@pytest.fixture
+def batch(policy: GaussianPolicy) -> tuple[jax.Array, jax.Array, jax.Array]:
+    obs = jr.normal(jr.key(1), (400, 3))
+    keys = jr.split(jr.key(2), 400)
+    actions = jax.vmap(lambda o, k: policy(o).sample(key=k))(obs, keys)
+    advantages = actions[:, 0] * obs[:, 0]  # push the first action along the first observation
+    return obs, actions, (advantages - advantages.mean()) / advantages.std()
+
+
+def mean_kl(old: GaussianPolicy, new: GaussianPolicy, obs: jax.Array) -> float:
+    return float(jnp.mean(jax.vmap(lambda o: kl(old(o), new(o)))(obs)))
+
+
+def test_fisher_product_is_the_hessian_of_the_kl(policy: GaussianPolicy) -> None:
+    obs = jr.normal(jr.key(1), (20, 3))
+    theta, rebuild = ravel_pytree(policy)
+    hessian = jax.hessian(lambda t: jnp.mean(jax.vmap(lambda o: kl(policy(o), rebuild(t)(o)))(obs)))(theta)
+    product = fisher_product(rebuild, theta, obs)
+    for key in jr.split(jr.key(3), 3):
+        v = jr.normal(key, theta.shape)
+        np.testing.assert_allclose(product(v), hessian @ v, rtol=1e-3, atol=1e-4)
+
+
+def test_conjugate_gradient_solves(rng: np.random.Generator) -> None:
+    root = rng.normal(size=(8, 8))
+    a, b = jnp.asarray(root @ root.T + 8 * np.eye(8)), jnp.asarray(rng.normal(size=8))
+    x = conjugate_gradient(lambda v: a @ v, b, 10)
+    np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-3, atol=1e-5)
+
+
+def test_an_update_improves_within_the_trust_region(policy: GaussianPolicy, batch: tuple) -> None:
+    new, info = update(policy, *batch, CONFIG)
+    moved = mean_kl(policy, new, batch[0])
+    assert not info.skipped and float(info.improvement) > 0
+    assert float(info.kl) == pytest.approx(moved, rel=1e-2)
+    assert 0.3 * CONFIG.max_kl < moved <= CONFIG.max_kl
+    probe = jnp.array([1.0, 0.0, 0.0])
+    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # in the direction that was rewarded
+
+
+def test_a_failed_search_leaves_the_parameters_as_they_were(policy: GaussianPolicy, batch: tuple) -> None:
+    impossible = replace(CONFIG, max_kl=-1.0)  # no policy is that near to another
+    new, info = update(policy, *batch, impossible)
+    assert info.skipped
+    assert eqx.tree_equal(new, policy)
+    assert float(info.kl) == 0.0 and int(info.backtracks) == CONFIG.max_backtracks - 1
+
+
+def test_curvature_that_is_not_positive_skips_the_update(policy: GaussianPolicy, batch: tuple) -> None:
+    new, info = update(policy, *batch, replace(CONFIG, cg_damping=-100.0))
+    assert info.skipped and int(info.backtracks) == 0
+    assert eqx.tree_equal(new, policy)
+
+
+@pytest.mark.parametrize("poison", [jnp.nan, jnp.inf])
+def test_numbers_that_are_not_finite_skip_the_update(
+    policy: GaussianPolicy, batch: tuple, poison: float
+) -> None:
+    obs, actions, advantages = batch
+    new, info = update(policy, obs, actions, advantages.at[3].set(poison), CONFIG)
+    assert info.skipped
+    assert eqx.tree_equal(new, policy)
+
+
+def test_no_advantage_is_no_step(policy: GaussianPolicy, batch: tuple) -> None:
+    new, info = update(policy, batch[0], batch[1], jnp.zeros(400), CONFIG)
+    assert info.skipped
+    assert eqx.tree_equal(new, policy)
+
+
+def test_seeds_beside_each_other_are_single_updates(batch: tuple) -> None:
+    policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(3)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *policies)
+    together, _ = eqx.filter_vmap(lambda p: update(p, *batch, CONFIG))(stacked)
+    for i, single in enumerate(policies):
+        alone, _ = update(single, *batch, CONFIG)
+        ours = ravel_pytree(jax.tree.map(lambda x, i=i: x[i], together))[0]
+        np.testing.assert_allclose(ours, ravel_pytree(alone)[0], atol=2e-3)
+
+
+def test_the_actor_is_the_policy(rng: np.random.Generator) -> None:
+    policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(2)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *policies)
+    obs = rng.normal(size=(2, 5, 3)).astype(np.float32)
+    means = Actor(stacked).mean(obs)
+    for s, policy in enumerate(policies):
+        np.testing.assert_allclose(means[s], jax.vmap(lambda o, p=policy: p(o).mu)(obs[s]), atol=1e-5)

@@ -1,0 +1,110 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.errors import PlanspaceError
+from planspace.study import quickstart as module
+from planspace.study.figures import SMOOTHING, learning_curve, smoothed
+from planspace.study.quickstart import BUDGETS, closing_table, rebuild, run
+
+from ..conftest import QUICK_FIT, QUICK_PLANNER
+
+TINY = replace(
+    BUDGETS["smoke"],
+    demos=12,
+    planner=QUICK_PLANNER,
+    fit=replace(QUICK_FIT, steps=100),
+    embedding_seeds=2,
+    seeds=2,
+    steps=8000,
+)
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(BUDGETS, "smoke", TINY)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_goes_through_every_stage_and_does_no_finished_work_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    summary = run("cartpole-swingup", "smoke", out, 0)
+    assert list(summary["arms"]) == ["raw", "raw + sin/cos", "raw + sin/cos + z"]
+    assert summary["demos"]["share_near_goal"] >= 0.95
+    assert json.loads((out / "summary.json").read_text()) == summary
+    table = closing_table(summary)
+    assert "raw + sin/cos + z" in table and "midpoint error" in table
+
+    stamps = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file()}
+    assert run("cartpole-swingup", "smoke", out, 0) == summary
+    redone = {p.name for p, stamp in stamps.items() if p.stat().st_mtime_ns != stamp}
+    assert redone <= {"summary.json", "report.html"} | {p.name for p in (out / "figures").iterdir()}
+
+    (out / "report.html").unlink()
+    assert rebuild(out) == summary
+    assert (out / "report.html").exists()
+    with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 1"):
+        run("cartpole-swingup", "smoke", out, 1)
+
+    # an interrupt in the last arm costs that arm's last steps, nothing else
+    (out / "train" / "trig-z" / "history.safetensors").unlink()
+    trained = []
+    train = module.train
+    monkeypatch.setattr(module, "train", lambda c, p, e: trained.append(p.name) or train(c, p, e))
+    assert run("cartpole-swingup", "smoke", out, 0) == summary
+    assert trained == ["raw", "trig", "trig-z"]
+
+
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize("task", ["cartpole", "reacher-trig", "reacher-raw"])
+def test_every_task_runs(task: str, tmp_path: Path) -> None:
+    summary = run(task, "smoke", tmp_path / "run", 0)
+    assert len(summary["arms"]) == (2 if task == "reacher-trig" else 3)
+    assert (tmp_path / "run" / "report.html").stat().st_size > 1e6
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) -> None:
+    from planspace.demos.dataset import load_demos
+    from planspace.embed.embedding import load_embedding
+    from planspace.store import read_arrays
+    from planspace.study.report import write_report
+
+    out = tmp_path / "run"
+    summary = run("cartpole-swingup", "smoke", out, 0)
+    summary["task"] = "<script>alert(1)</script>"
+    demos, embedding = load_demos(out / "demos"), load_embedding(out / "embedding")
+    history = read_arrays(out / "train" / "raw" / "history.safetensors")
+    html = write_report(out, summary, demos, embedding, {"raw": history}).read_text()
+    assert "&lt;script&gt;alert(1)" in html and "<script>alert(1)" not in html
+    own = html[: html.index("<script>")] + html[html.index("</script>") :]  # Plotly's code names many places
+    assert "http" not in own.replace("http-equiv", "")
+    assert "default-src 'none'" in own
+
+
+def test_a_folder_of_another_kind_is_no_run(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="cannot read"):
+        rebuild(tmp_path)
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(PlanspaceError, match="is not the folder of a `planspace run`"):
+        rebuild(tmp_path)
+
+
+def test_smoothing_by_hand() -> None:
+    returns = np.arange(12.0)[:, None]
+    # at first the mean of what there is, then of the last ten
+    expected = [np.mean(returns[max(0, i - SMOOTHING + 1) : i + 1]) for i in range(12)]
+    np.testing.assert_allclose(smoothed(returns)[:, 0], expected)
+
+
+def test_the_curve_is_the_papers() -> None:
+    returns = np.tile([5.0, 1.0, 4.0, 2.0, 3.0], (4, 1))
+    returns[2, 1] = 100.0  # the second seed reaches the highest value, at one step
+    curve = learning_curve({"return": returns, "steps": np.arange(4)})
+    assert (curve.mean[0], curve.low[0], curve.high[0]) == (3.0, 2.0, 4.0)
+    np.testing.assert_allclose(curve.best, smoothed(returns)[:, 1])

@@ -1,0 +1,164 @@
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.cli import main
+
+VERBS = ["run", "plan", "demos", "embed", "measure", "train", "report", "doctor"]
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    code = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.mark.parametrize("verb", [[], *[[v] for v in VERBS], ["demos", "import"]])
+def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, *verb, "--help")
+    assert code == 0
+    assert "usage: planspace" in out
+    assert not re.search(r"--[a-z-]+ [A-Z.|]+\s+\(default", out)  # no option without a word of its own
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "carpole"], "unknown task 'carpole'. Did you mean 'cartpole'?"),
+        (["run", "--budgt", "small"], "Unrecognized options: --budgt, small Perhaps you meant: --budget"),
+        (["run", "--budget", "tiny"], "invalid choice 'tiny'"),
+        (["rnu"], "Available subcommands: run, plan"),
+        (["plan", "--out", "x"], "which problem? Shipped: cartpole, cartpole-swingup"),
+        (["plan", "reachr", "--out", "x"], "Did you mean 'reacher'?"),
+        (["plan", "reacher", "--num", "0", "--out", "x"], "must be at least 1, got 0"),
+        (["train", "--out", "x"], "which task? There are cartpole"),
+        (["train", "cartpole", "--z", "augment", "--out", "x"], "give --embedding DIR"),
+        (["measure"], "Missing from planspace measure: EMBEDDING"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, *arguments)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1 and out == ""
+    assert list(tmp_path.iterdir()) == []  # nothing half-written
+
+
+def test_a_failure_is_one_line_and_exit_code_1_and_debug_shows_more(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere")
+    assert code == 1
+    assert err.strip() == f"planspace: {tmp_path}/nowhere is not a demo dataset: it has no manifest.json."
+    code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere", "--debug")
+    assert code == 1 and "Traceback" in err
+
+
+def test_an_out_folder_that_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    code, _, err = call(capsys, "run", "--budget", "smoke", "--out", tmp_path / "file" / "run")
+    assert code == 1
+    assert "cannot write" in err and "Not a directory" in err and len(err.strip().splitlines()) == 1
+
+
+def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    demos, embedding, run = tmp_path / "demos", tmp_path / "embedding", tmp_path / "run"
+    plan = ["plan", "cartpole-swingup", "--num", 6, "--min-rounds", 4, "--workers", 1, "--out", demos]
+    assert call(capsys, *plan)[0] == 0
+    code, out, _ = call(capsys, "demos", "show", demos, "--json")
+    assert code == 0 and json.loads(out)["demonstrations"] == 6
+    code, out, _ = call(capsys, "demos", "validate", demos, "--replay", "--json")
+    assert code == 0 and json.loads(out)["replay_error"] <= 1e-6
+    assert call(capsys, "demos", "export", demos, tmp_path / "demos.npz")[0] == 0
+    imported = ["demos", "import", tmp_path / "demos.npz", "--problem", "cartpole-swingup"]
+    assert call(capsys, *imported, "--out", tmp_path / "back")[0] == 0
+    assert call(capsys, "demos", "validate", tmp_path / "back", "--replay")[0] == 0
+    assert call(capsys, "demos", "plot", demos, "--out", tmp_path / "plot")[0] == 0
+    assert (tmp_path / "plot" / "demos.svg").exists()
+    code, out, _ = call(capsys, "embed", demos, "--out", embedding, "--steps", 50, "--seeds", 2)
+    assert code == 0 and "straightness" in out
+    code, out, _ = call(capsys, "measure", embedding, tmp_path / "back", "--json")
+    metrics = json.loads(out)
+    assert code == 0 and {"straightness", "speed_variation", "midpoint_error", "time_correlation"} < set(
+        metrics["embedding"]
+    )
+    train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
+    code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
+    assert code == 0 and "--steps 4001 rounded up to 8000" in err
+    assert "return of the last iteration: mean -" in out
+
+
+def test_measuring_other_demos_names_both(
+    capsys: pytest.CaptureFixture[str], embedding_folder: Path, tmp_path: Path
+) -> None:
+    np.savez(
+        tmp_path / "other.npz",
+        states=np.random.default_rng(0).normal(size=(40, 2)),
+        controls=np.zeros((40, 1)),
+        time=np.arange(40) * 0.1,
+        offsets=[0, 40],
+    )
+    assert call(capsys, "demos", "import", tmp_path / "other.npz", "--out", tmp_path / "other")[0] == 0
+    code, _, err = call(capsys, "measure", embedding_folder, tmp_path / "other")
+    assert code == 1 and "(slider, hinge, slidervel, hingevel)" in err and "(state0, state1)" in err
+
+
+def test_an_altered_shard_is_named(capsys: pytest.CaptureFixture[str], demos, tmp_path: Path) -> None:
+    from planspace.demos.dataset import DemoFolder
+
+    DemoFolder(tmp_path, demos.info, {}).append([demos.episode(0)], 1)
+    shard = tmp_path / "shard-00000.safetensors"
+    shard.write_bytes(shard.read_bytes()[:-1] + b"!")
+    code, _, err = call(capsys, "demos", "validate", tmp_path)
+    assert code == 1 and "shard-00000.safetensors was altered or damaged" in err
+
+
+def test_doctor_examines_this_machine(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "doctor", "--json")
+    findings = json.loads(out)
+    assert code == 0
+    assert findings["mujoco.batch"]["ok"] and findings["[test]"]["ok"]
+    assert all(f["ok"] or f["advice"] for f in findings.values())  # a line of advice for all that is missing
+    code, out, _ = call(capsys, "doctor")
+    assert code == 0 and len(out.strip().splitlines()) == len(findings)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    import planspace
+
+    assert call(capsys, "--version")[1].strip() == planspace.__version__
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "planspace", "train", "cartpole-swingup", "--seeds", "1"]
+    command += ["--steps", "400000", "--out", str(tmp_path / "run")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    checkpoint = tmp_path / "run" / "checkpoint" / "state.safetensors"
+    deadline = time.monotonic() + 60
+    while not checkpoint.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.strip().endswith("interrupted; the same command continues from here.")
+    done = len((tmp_path / "run" / "log.jsonl").read_text().splitlines())
+    assert 10 <= done < 100
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
+    rows = [json.loads(row) for row in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows] == list(range(1, 101))  # none lost, none twice
