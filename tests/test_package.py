@@ -1,0 +1,40 @@
+"""What holds for the package as a whole."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import planspace
+
+SOURCE = Path(planspace.__file__).parent
+ORDER = ["demos", "plan", "embed", "envs", "rl", "study"]
+"""The stages: data flows in this direction, and so may no import flow against it."""
+
+
+def test_importing_planspace_is_light() -> None:
+    code = "import sys, planspace, planspace.envs.wrappers as _; "
+    code += "print([m for m in ('jax', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def imports(file: Path) -> set[str]:
+    tree = ast.parse(file.read_text())
+    found = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    return found | {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+
+
+def test_stages_import_only_what_comes_before_them() -> None:
+    for position, stage in enumerate(ORDER):
+        later = tuple(f"planspace.{name}" for name in ORDER[position + 1 :])
+        for file in (SOURCE / stage).rglob("*.py"):
+            wrong = [name for name in imports(file) if name.startswith(later)]
+            assert wrong == [], f"{file} imports {wrong}"
+
+
+def test_nothing_is_pickled() -> None:
+    forbidden = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
+    for file in SOURCE.rglob("*.py"):
+        assert not imports(file) & forbidden
+        assert "allow_pickle=True" not in file.read_text()

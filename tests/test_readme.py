@@ -1,0 +1,45 @@
+"""The README's Python runs, and says nothing that is not so."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README.read_text(), flags=re.DOTALL)
+
+
+def test_python_blocks_run(embedding_folder: Path) -> None:
+    code = blocks("python")
+    assert code
+    for block in code:
+        assert "runs/cartpole-swingup-small/embedding" in block
+        names: dict = {}
+        exec(block.replace("runs/cartpole-swingup-small/embedding", str(embedding_folder)), names)
+        assert names["obs"].shape == (7,)
+        assert np.isfinite(names["obs"]).all()
+
+
+def test_commands_it_names_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    from planspace.cli import main
+
+    verbs = set(
+        re.findall(r"planspace (run|plan|demos|embed|measure|train|report|doctor)\b", README.read_text())
+    )
+    assert {"run", "plan", "embed", "train"} <= verbs
+    for verb in verbs:
+        assert main([verb, "--help"]) == 0
+    capsys.readouterr()
+
+
+def test_the_map_names_what_is_there() -> None:
+    root = README.parent
+    named = re.findall(
+        r"^    (src/planspace/\S+|tests/|docs/|benchmarks/|\.ci/run)", README.read_text(), re.MULTILINE
+    )
+    assert len(named) > 8
+    assert [n for n in named if not (root / n).exists()] == []
