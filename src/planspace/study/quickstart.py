@@ -18,15 +18,13 @@ from planspace.plan.generate import PlannerConfig, generate
 from planspace.plan.problem import load_problem
 from planspace.plan.sst import SSTConfig
 from planspace.rl.train import TrainConfig, train
-from planspace.store import Arrays, open_run, write_json
-from planspace.study.report import write_report
+from planspace.store import Arrays, open_run, read_json, write_json
+from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task
 
 BudgetName = Literal["smoke", "small", "full"]
 NEAR_GOAL = 0.5
 """L1 distance to the goal within which a demonstration counts as having come near it."""
-FINAL_ITERATIONS = 10
-"""The closing table averages each seed's return over this many last iterations."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +119,6 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
 
 def rebuild(out: Path) -> dict[str, Any]:
     """Writes the report of a finished run anew, from what its folder holds."""
-    from planspace.store import read_json
-
     config = read_json(out / "config.json")
     if config.get("command") != "run":
         raise PlanspaceError(f"{out} is not the folder of a `planspace run`.")
@@ -219,13 +215,3 @@ def closing_table(summary: dict[str, Any]) -> str:
         for label, row in summary["arms"].items()
     ]
     return "\n".join(lines)
-
-
-GEOMETRY_ROWS = (
-    ("straightness", "straightness", "1 is a straight line"),
-    ("speed_variation", "speed variation", "0 is constant speed"),
-    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
-    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
-    ("effective_rank", "effective rank", "dimensions in use"),
-    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
-)

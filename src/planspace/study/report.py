@@ -25,6 +25,17 @@ from planspace.study.figures import (
 
 TEMPLATES = Path(__file__).parent / "templates"
 
+FINAL_ITERATIONS = 10
+"""The closing table averages each seed's return over this many last iterations."""
+GEOMETRY_ROWS = (
+    ("straightness", "straightness", "1 is a straight line"),
+    ("speed_variation", "speed variation", "0 is constant speed"),
+    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
+    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
+    ("effective_rank", "effective rank", "dimensions in use"),
+    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
+)
+
 
 def write_report(
     out: Path, summary: dict[str, Any], demos: Demos, embedding: Embedding, histories: dict[str, Arrays]
@@ -34,8 +45,6 @@ def write_report(
     Returns:
         The report's path.
     """
-    from planspace.study.quickstart import FINAL_ITERATIONS, GEOMETRY_ROWS
-
     curves = {label: learning_curve(history) for label, history in histories.items()}
     folder = make_folder(out / "figures")
     demo_picture = save_figure(plot_demos(demos), folder, "demos")
