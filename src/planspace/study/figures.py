@@ -18,6 +18,8 @@ from planspace.store import Arrays, write_bytes
 
 SMOOTHING = 10
 """Iterations in the moving average of a learning curve."""
+MAX_PATHS = 20
+"""More paths than this hide each other in a flat picture; the first ones are drawn."""
 COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33")
 """Told apart by colour-blind readers (after Paul Tol)."""
 
@@ -182,7 +184,7 @@ def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
         figure.subplots(1, 2), ("standardised state", "plan space z"), (raw, paths), strict=True
     ):
         flat = _principal(np.concatenate(lines), 2)
-        for i in range(len(demos)):
+        for i in range(min(len(demos), MAX_PATHS)):
             a, b = demos.offsets[i], demos.offsets[i + 1]
             left = demos.times[b - 1] - demos.times[a:b]
             axes.plot(*flat[a:b].T, color="0.85", linewidth=0.6, zorder=1)
