@@ -25,7 +25,7 @@ EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
     "test": (("pytest", "hypothesis", "beartype"), "running the tests"),
     "dev": (("ruff", "pyright", "codespell_lib"), "linting and type checks"),
 }
-"""Extra to the modules it brings and what it is for. Of the first nine this version uses `sb3` alone."""
+"""Extra to the modules it brings and what it is for. This version itself uses `test` and `dev` alone."""
 
 RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'
