@@ -5,6 +5,7 @@ flushed too, so that a crash at any moment leaves the old file or the new one. N
 """
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -156,9 +157,18 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
-    """Appends one JSON line to a log."""
-    with _explain_write(path), open(path, "a", encoding="utf-8") as file:
-        file.write(json.dumps(row) + "\n")
+    """Appends one JSON line to a log; a line that does not fit on the disk leaves no part of itself."""
+    with _explain_write(path):
+        size = path.stat().st_size if path.exists() else 0
+        try:
+            with open(path, "ab", buffering=0) as file:
+                line = (json.dumps(row) + "\n").encode()
+                if file.write(line) != len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            if path.exists():
+                os.truncate(path, size)
+            raise
 
 
 # --- one folder -------------------------------------------------------------------------------------
