@@ -10,12 +10,15 @@ from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import PRESETS, fit
 from planspace.plan.generate import PlannerConfig, generate
+from planspace.plan.polish import PolishConfig
 from planspace.plan.problem import load_problem
 from planspace.plan.sst import SSTConfig
 
 RELEASED = Path(__file__).parents[2] / "shared" / "data" / "released-2020"
 
-QUICK_PLANNER = PlannerConfig(sst=SSTConfig(extensions=256, min_rounds=4))
+QUICK_PLANNER = PlannerConfig(
+    restarts=1, sst=SSTConfig(extensions=256), polish=PolishConfig(max_iterations=15)
+)
 QUICK_FIT = replace(PRESETS["modern"], steps=300, batch=64)
 
 

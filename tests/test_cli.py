@@ -21,7 +21,7 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
     return code, captured.out, captured.err
 
 
-@pytest.mark.parametrize("verb", [[], *[[v] for v in VERBS], ["demos", "import"]])
+@pytest.mark.parametrize("verb", [[], *[[v] for v in VERBS], ["demos", "import"], ["demos", "render"]])
 def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = call(capsys, *verb, "--help")
     assert code == 0
@@ -36,11 +36,24 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["run", "--budgt", "small"], "Unrecognized options: --budgt, small Perhaps you meant: --budget"),
         (["run", "--budget", "tiny"], "invalid choice 'tiny'"),
         (["rnu"], "Available subcommands: run, plan"),
-        (["plan", "--out", "x"], "which problem? Shipped: cartpole, cartpole-swingup"),
+        (["plan", "--out", "x"], "which problem? Shipped: acrobot, arm, "),
         (["plan", "reachr", "--out", "x"], "Did you mean 'reacher'?"),
-        (["plan", "reacher", "--num", "0", "--out", "x"], "must be at least 1, got 0"),
+        (["plan", "reacher", "--num", "0", "--out", "x"], "--num and --restarts must be at least 1"),
+        (["plan", "reacher", "--planner", "ompl-rtt", "--out", "x"], "Did you mean 'ompl-rrt'?"),
+        (
+            ["plan", "reacher", "--planner", "ompl-prm", "--out", "x"],
+            "ompl-prm cannot plan a dynamic problem",
+        ),
+        (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number"),
+        (["plan", "reacher", "--settings", "min_round=4", "--out", "x"], "Did you mean 'sst_min_rounds'?"),
+        (["plan", "reacher", "--cost", "speed", "--out", "x"], "unknown cost 'speed'"),
         (["train", "--out", "x"], "which task? There are cartpole"),
         (["train", "cartpole", "--z", "augment", "--out", "x"], "give --embedding DIR"),
+        (["demos", "import", "--out", "x"], "which source? It may be FILE.npz, FILE.csv, minari:ID"),
+        (["demos", "import", "demos.txt", "--out", "x"], "demos.txt is no source of demonstrations"),
+        (["demos", "import", "a.csv", "--state", "x", "--out", "x"], "--state needs NAME=COLUMN, got 'x'"),
+        (["demos", "import", "a.csv", "--dt", "0", "--out", "x"], "--dt must be a positive number"),
+        (["demos", "import", "a.out", "--out", "x"], "give --problem"),
         (["measure"], "Missing from planspace measure: EMBEDDING"),
     ],
 )
@@ -78,7 +91,7 @@ def test_an_out_folder_that_cannot_be_written(capsys: pytest.CaptureFixture[str]
 
 def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     demos, embedding, run = tmp_path / "demos", tmp_path / "embedding", tmp_path / "run"
-    plan = ["plan", "cartpole-swingup", "--num", 6, "--min-rounds", 4, "--workers", 1, "--out", demos]
+    plan = ["plan", "cartpole-swingup", "--num", 6, "--restarts", 1, "--workers", 1, "--out", demos]
     assert call(capsys, *plan)[0] == 0
     code, out, _ = call(capsys, "demos", "show", demos, "--json")
     assert code == 0 and json.loads(out)["demonstrations"] == 6
@@ -101,6 +114,54 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
     assert code == 0 and "--steps 4001 rounded up to 8000" in err
     assert "return of the last iteration: mean -" in out
+
+
+def test_recordings_come_in_and_go_out_as_csv(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for name, last in (("a", "0.2"), ("b", "0.3")):
+        (tmp_path / f"{name}.csv").write_text(f"t,pos,speed,push\n0,1,2,3\n0.1,4,5,6\n{last},7,8,9\n")
+    sources = [tmp_path / "a.csv", tmp_path / "b.csv", "--state", "x=pos", "--state", "v=speed"]
+    command = ["demos", "import", *sources, "--control", "u=push", "--out", tmp_path / "demos"]
+    code, out, err = call(capsys, *command)
+    assert (code, out) == (0, f"2 demonstrations in {tmp_path}/demos\n")
+    assert err == "resampled 1 of 2 demonstrations to a step of 0.1 s\n"
+    code, out, _ = call(capsys, "demos", "show", tmp_path / "demos", "--json")
+    shown = json.loads(out)
+    assert shown["state"] == {"x": "", "v": ""} and shown["controls"] == 1
+    assert shown["made_by"] == {"imported": "a.csv and 1 more"}
+    assert call(capsys, "demos", "export", tmp_path / "demos", tmp_path / "all.csv")[0] == 0
+    header, first, *_ = (tmp_path / "all.csv").read_text().splitlines()
+    assert (header, first) == ("episode,time,x,v,control1", "0,0.0,1.0,2.0,3.0")
+    assert call(capsys, "demos", "import", tmp_path / "all.csv", "--out", tmp_path / "back")[0] == 0
+    hashes = [
+        json.loads(call(capsys, "demos", "show", tmp_path / n, "--json")[1])["hash"]
+        for n in ("demos", "back")
+    ]
+    assert hashes[0] == hashes[1]
+
+
+def test_a_bad_cell_is_one_line_and_nothing_is_written(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text("time,x\n0,1\n1,oops\n")
+    code, out, err = call(capsys, "demos", "import", tmp_path / "a.csv", "--out", tmp_path / "demos")
+    assert (code, out) == (1, "") and not (tmp_path / "demos").exists()
+    assert (
+        err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' holds 'oops', which is no finite number.\n"
+    )
+
+
+def test_a_film_from_the_command_line(
+    capsys: pytest.CaptureFixture[str], demo_folder: Path, tmp_path: Path
+) -> None:
+    film = tmp_path / "film.gif"
+    code, _, err = call(capsys, "demos", "render", demo_folder, "--out", tmp_path / "film.avi")
+    assert code == 2 and "FILE.gif or FILE.mp4" in err
+    small = ["--episodes", 1, "--fps", 10, "--width", 48, "--height", 32, "--camera", "side"]
+    code, out, err = call(capsys, "demos", "render", demo_folder, "--out", film, *small)
+    if "no OpenGL backend works here" in err:
+        assert code == 1 and len(err.strip().splitlines()) == 1
+        pytest.skip("no OpenGL backend works here")
+    assert (code, out) == (0, f"{film}\n") and film.read_bytes()[:4] == b"GIF8"
 
 
 def test_measuring_other_demos_names_both(

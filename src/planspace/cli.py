@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, unknown
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 
@@ -58,24 +58,45 @@ class Plan:
     """Seed of starts, goals and planner."""
     workers: Annotated[int, arg(metavar="N")] = 0
     """Processes; 0 takes one for each CPU. The result does not depend on it."""
-    min_rounds: Annotated[int, arg(metavar="N")] = 60
-    """Rounds of 512 extensions before a solution is accepted; more rounds make shorter plans."""
+    planner: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the problem's, sst)")] = ""
+    """sst is ours; ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst plan with OMPL, and, where a problem
+    is kinematic, ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar."""
+    cost: Annotated[str, arg(metavar="COST", help_behavior_hint="(default: the problem's, duration)")] = ""
+    """What makes a plan good: duration, or effort."""
+    restarts: Annotated[int, arg(metavar="N")] = 2
+    """Independent searches for each plan, the best of which is kept (one with OMPL)."""
+    polish: bool = True
+    """Shorten each plan and land it on its goal; --no-polish keeps what the planner found."""
+    seconds: Annotated[float, arg(metavar="S", help_behavior_hint="(default: count rounds; OMPL 20)")] = 0.0
+    """Time for each search. Counting rounds instead makes the same plans on every machine."""
+    settings: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")] = ()
+    """Further settings of the planner, such as min_rounds=60, polish_max_blocks=100, ompl_goal_bias=0.2."""
 
     def __call__(self) -> None:
         """Plans and says what came of it."""
         from planspace.plan.generate import PlannerConfig, generate
         from planspace.plan.problem import load_problem, shipped_problems
-        from planspace.plan.sst import SSTConfig
 
         if not self.problem:
             raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
-        if self.num < 1 or self.min_rounds < 1:
-            raise UsageError(f"--num and --min-rounds must be at least 1, got {self.num}, {self.min_rounds}.")
-        sst = SSTConfig()
-        config = PlannerConfig(
-            sst=replace(sst, min_rounds=self.min_rounds, max_rounds=max(sst.max_rounds, self.min_rounds))
-        )
+        if self.num < 1 or self.restarts < 1 or self.seconds < 0:
+            raise UsageError(
+                f"--num and --restarts must be at least 1, --seconds at least 0; got {self.num}, "
+                f"{self.restarts}, {self.seconds:g}."
+            )
         problem = load_problem(self.problem)
+        if self.cost not in ("", "duration", "effort"):
+            raise unknown("cost", self.cost, ["duration", "effort"])
+        problem = replace(problem, cost=self.cost) if self.cost else problem
+        seconds = self.seconds or None
+        changes = {
+            "planner": self.planner or None,
+            "restarts": self.restarts,
+            "sst_seconds": seconds,
+            "ompl_seconds": seconds,
+            "polish_max_iterations": None if self.polish else 0,
+        }
+        config = PlannerConfig.for_problem(problem, **changes, **dict(map(_setting, self.settings)))
         folder = generate(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )
@@ -136,53 +157,99 @@ class DemosPlot:
 
 
 @dataclass(frozen=True)
-class DemosImport:
-    """Make a dataset of an NPZ archive with `states`, `controls`, `time` and `offsets`."""
+class DemosRender:
+    """Film the robot in its recorded states, in real time."""
 
-    file: Positional[Annotated[Path, arg(metavar="FILE.npz")]]
-    """The archive; episode i is rows offsets[i] : offsets[i + 1], time in seconds."""
+    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
+    """A dataset folder that holds the model."""
+    out: Annotated[Path, arg(metavar="FILE.gif|FILE.mp4")]
+    """The film; an MP4 needs the extra `video`."""
+    episodes: Annotated[int, arg(metavar="N")] = 3
+    """How many demonstrations, from the first on, one after another."""
+    fps: Annotated[int, arg(metavar="N")] = 30
+    """Pictures a second."""
+    width: Annotated[int, arg(metavar="PIXELS")] = 480
+    """Width of the picture."""
+    height: Annotated[int, arg(metavar="PIXELS")] = 360
+    """Height of the picture."""
+    camera: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the model's first)")] = ""
+    """A camera of the model; one that shows all of it where the model has none."""
+
+    def __call__(self) -> None:
+        """Films it."""
+        from planspace.demos.dataset import load_demos
+        from planspace.demos.render import FilmConfig, render_demos
+
+        config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
+        render_demos(load_demos(self.folder), self.out, config)
+        print(self.out)
+
+
+@dataclass(frozen=True)
+class DemosImport:
+    """Make a dataset of demonstrations in another format: NPZ, CSV, Minari, or the plans of 2020."""
+
+    source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE", help_behavior_hint="(required)")]]
+    """FILE.npz with `states`, `controls`, `time`, `offsets`; FILE.csv, one demonstration a file or a column
+    `episode`; minari:ID; 2020's .json or .out plans. Several files, or a folder of them, make one dataset."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The dataset folder to make."""
-    problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml")] = ""
+    problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
     """The planning problem the states belong to: gives names, units, angles and the model."""
+    state: UseAppendAction[
+        Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
+    ] = ()
+    """Which column is a state; NAME=INDEX or NAME=KEY[INDEX] in Minari. By default columns go by name."""
+    control: UseAppendAction[
+        Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
+    ] = ()
+    """Which column is a control. By default control1 .., control0 .., or the actuators' names."""
+    dt: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None
+    """The time step, for a source that does not say."""
+    as_recorded: bool = False
+    """Keep uneven time steps and wound-up angles. Otherwise all demonstrations are brought to one step, and
+    angles to end in (-pi, pi]."""
 
     def __call__(self) -> None:
         """Imports it."""
-        from planspace.demos.convert import import_npz
+        from planspace.demos.convert import import_demos
+        from planspace.demos.recording import ImportOptions, assignments
         from planspace.plan.generate import state_info
         from planspace.plan.problem import load_problem
 
+        states, controls = assignments("--state", self.state), assignments("--control", self.control)
+        options = ImportOptions(states, controls, self.dt, self.as_recorded)
         info = state_info(load_problem(self.problem)) if self.problem else None
-        folder = import_npz(self.file, self.out, info)
+        folder = import_demos(self.source, self.out, info, options)
         print(f"{folder.num_episodes} demonstrations in {self.out}")
 
 
 @dataclass(frozen=True)
 class DemosExport:
-    """Write a dataset as an NPZ archive, which `demos import` reads."""
+    """Write a dataset in a format that `demos import` reads back."""
 
     folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
     """A dataset folder."""
-    file: Positional[Annotated[Path, arg(metavar="FILE.npz")]]
-    """The archive to write."""
+    target: Positional[Annotated[str, arg(metavar="FILE.npz|FILE.csv|minari:ID")]]
+    """What to write; a Minari dataset is kept where Minari keeps its own."""
 
     def __call__(self) -> None:
         """Exports it."""
-        from planspace.demos.convert import export_npz
+        from planspace.demos.convert import export_demos
         from planspace.demos.dataset import load_demos
 
-        export_npz(load_demos(self.folder), self.file)
-        print(self.file)
+        print(export_demos(load_demos(self.folder), self.target))
 
 
 @dataclass(frozen=True)
 class Demos:
-    """Look at, check, import and export demonstrations."""
+    """Look at, check, draw, film, import and export demonstrations."""
 
     action: (
         Annotated[DemosShow, subcommand("show")]
         | Annotated[DemosValidate, subcommand("validate")]
         | Annotated[DemosPlot, subcommand("plot")]
+        | Annotated[DemosRender, subcommand("render")]
         | Annotated[DemosImport, subcommand("import")]
         | Annotated[DemosExport, subcommand("export")]
     )
@@ -396,6 +463,15 @@ def _parse(arguments: list[str]) -> Any:
         if stop.code:
             print(f"planspace: {_one_line(complaint.getvalue())}", file=sys.stderr)
         raise
+
+
+def _setting(text: str) -> tuple[str, float]:
+    """`KEY=VALUE` taken apart."""
+    key, _, value = text.partition("=")
+    try:
+        return key, float(value)
+    except ValueError:
+        raise UsageError(f"--settings takes KEY=VALUE with a number, got {text!r}.") from None
 
 
 def _one_line(box: str) -> str:

@@ -75,12 +75,12 @@ def _batch() -> Finding:
     return Finding("mujoco.batch", value, found, "pip install 'mujoco>=3.17,!=4.0.0'")
 
 
-def _rendering() -> Finding:
-    """Tries to render in a process of its own: a bad GL driver may abort it."""
-    backends = [os.environ["MUJOCO_GL"]] if "MUJOCO_GL" in os.environ else ["egl", "osmesa"]
-    if os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ:
-        backends.insert(0, "glfw")
-    for backend in backends:
+def rendering_backend() -> str | None:
+    """The first OpenGL backend MuJoCo can draw with here, named as in MUJOCO_GL, or None.
+
+    Each is tried in a process of its own: a bad GL driver may abort it.
+    """
+    for backend in _backends():
         environment = {**os.environ, "MUJOCO_GL": backend}
         command = [sys.executable, "-c", RENDER_PROBE]
         try:
@@ -88,11 +88,31 @@ def _rendering() -> Finding:
         except subprocess.TimeoutExpired:
             continue
         if done.returncode == 0:
-            return Finding("rendering", f"works (MUJOCO_GL={backend})", True)
+            return backend
+    return None
+
+
+def rendering_advice() -> str:
+    """What to do where no backend works."""
     manager = "apt-get install libosmesa6" if shutil.which("apt-get") else "install OSMesa or an EGL driver"
-    return Finding(
-        "rendering", "none", False, f"only pictures of the robot need it: {manager}, set MUJOCO_GL=osmesa"
-    )
+    chosen = os.environ.get("MUJOCO_GL")
+    first = "" if chosen is None else f"unset MUJOCO_GL, which asks for {chosen!r}; else "
+    return f"{first}{manager}, set MUJOCO_GL=osmesa"
+
+
+def _backends() -> list[str]:
+    if "MUJOCO_GL" in os.environ:
+        return [os.environ["MUJOCO_GL"]]
+    if sys.platform != "linux":
+        return ["cgl", "glfw"] if sys.platform == "darwin" else ["glfw"]
+    return ["glfw", "egl", "osmesa"] if os.environ.get("DISPLAY") else ["egl", "osmesa"]
+
+
+def _rendering() -> Finding:
+    backend = rendering_backend()
+    advice = f"only pictures of the robot need it: {rendering_advice()}"
+    value = "none" if backend is None else f"works (MUJOCO_GL={backend})"
+    return Finding("rendering", value, backend is not None, advice)
 
 
 def _extra(name: str) -> Finding:

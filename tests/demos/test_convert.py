@@ -3,24 +3,37 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.convert import export_npz, import_npz
+from planspace.demos.convert import export_demos, export_npz, import_demos, import_npz
 from planspace.demos.dataset import Demos, load_demos
-from planspace.errors import PlanspaceError
+from planspace.demos.describe import describe
+from planspace.demos.recording import ImportOptions, assignments
+from planspace.errors import PlanspaceError, UsageError
+
+CSV = "time,x\n0,1\n0.1,2\n0.2,3\n"
 
 
 def test_export_and_import_give_the_same_demonstrations(demos: Demos, tmp_path: Path) -> None:
     export_npz(demos, tmp_path / "demos.npz")
-    import_npz(tmp_path / "demos.npz", tmp_path / "back", demos.info)
-    back = load_demos(tmp_path / "back")
-    for name in ("states", "controls", "times", "offsets"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(demos, name))
+    import_npz(tmp_path / "demos.npz", tmp_path / "exact", demos.info)
+    import_demos([str(tmp_path / "demos.npz")], tmp_path / "even", demos.info, ImportOptions())
+    for folder in ("exact", "even"):  # plans are even and end in one turn: nothing is to be done to them
+        back = load_demos(tmp_path / folder)
+        for name in ("states", "controls", "times", "offsets"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(demos, name))
 
 
-def test_imports_the_released_data(released: Path, tmp_path: Path) -> None:
+def test_imports_the_released_data(released: Path, tmp_path: Path, capsys) -> None:
     import_npz(released / "cartpole_swingup.npz", tmp_path / "demos", None)
     demos = load_demos(tmp_path / "demos")
     assert len(demos) == 400
     assert demos.info.names == ("state0", "state1", "state2", "state3")
+    assert capsys.readouterr().err == ""
+    # 348 of the 400 hold a shorter step; without a model the step is the median, float32's 0.02
+    import_demos([str(released / "cartpole_swingup.npz")], tmp_path / "even", None, ImportOptions())
+    assert capsys.readouterr().err == "resampled 348 of 400 demonstrations to a step of 0.02 s\n"
+    even = load_demos(tmp_path / "even")
+    ends = np.abs(even.states[even.offsets[1:] - 1] - demos.states[demos.offsets[1:] - 1])
+    assert ends.max() < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -30,7 +43,10 @@ def test_imports_the_released_data(released: Path, tmp_path: Path) -> None:
         ({"offsets": np.array([0, 3])}, "offsets must run from 0 to the number of rows, 4"),
         ({"offsets": np.array([0, 1, 4])}, "episode 0 has fewer than two states"),
         ({"controls": np.zeros((3, 1))}, "the same number of rows"),
+        ({"time": np.zeros((4, 1))}, "two, two and one axes"),
+        ({"time": np.array([0.0, 1.0, 1.0, 2.0])}, "episode 0, row 2: the time 1 does not come after 1"),
         ({"states": np.array([[0.0], [1.0], [np.nan], [3.0]])}, "state that is not finite, in row 2"),
+        ({"states": np.array([["a"]] * 4)}, "'states' is of type <U1; numbers are needed"),
         ({"states": np.array([[{}]] * 4, dtype=object)}, "not a readable NPZ archive of plain arrays"),
     ],
 )
@@ -45,10 +61,84 @@ def test_bad_archives_are_refused(change: dict, message: str, tmp_path: Path) ->
     np.savez(tmp_path / "bad.npz", **{k: v for k, v in arrays.items() if v is not None})
     with pytest.raises(PlanspaceError, match=message):
         import_npz(tmp_path / "bad.npz", tmp_path / "out", None)
-    assert not (tmp_path / "out" / "manifest.json").exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_file_that_is_no_archive_is_refused(tmp_path: Path) -> None:
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(PlanspaceError, match="not a readable NPZ archive"):
         import_npz(tmp_path / "bad.npz", tmp_path / "out", None)
+
+
+@pytest.mark.parametrize(
+    ("files", "sources", "message"),
+    [
+        ([], [], "which source"),
+        ([], ["demos"], "demos is no source of demonstrations; it may be FILE.npz"),
+        (["a.txt"], ["a.txt"], "a.txt is no source of demonstrations"),
+        (["in/a.txt"], ["in"], "in is no source of demonstrations"),
+        (["in/a.csv", "in/b.json"], ["in"], "in holds .csv and .json files; import one kind at a time"),
+        (["a.npz", "b.npz"], ["a.npz", "b.npz"], "a.npz and 1 more holds 2 NPZ archives"),
+        (["in/manifest.json"], ["in"], "is a planspace dataset already"),
+    ],
+)
+def test_sources_of_no_kind_are_refused(
+    files: list[str], sources: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for file in map(Path, files):
+        file.parent.mkdir(exist_ok=True)
+        file.touch()
+    with pytest.raises(UsageError, match=message):
+        import_demos(sources, tmp_path / "out", None, ImportOptions())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        ("a.npz", {"states": {"x": "y"}}, "--state has no meaning for a.npz"),
+        ("a.npz", {"dt": 0.1}, "--dt has no meaning for a.npz, which has times of its own"),
+        ("a.out", {"controls": {"x": "y"}}, "--control has no meaning for a.out"),
+        ("minari:a-v0", {"controls": {"x": "y"}}, "--control has no meaning for minari:a-v0"),
+    ],
+)
+def test_options_without_a_meaning_are_not_passed_over(
+    source: str, options: dict, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        import_demos([source], tmp_path / "out", None, ImportOptions(**options))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match=r"cannot read .*none\.csv: No such file"):
+        import_demos([str(tmp_path / "none.csv")], tmp_path / "out", None, ImportOptions())
+
+
+def test_the_same_import_again_changes_nothing_and_another_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(CSV)
+    out = tmp_path / "out"
+    import_demos([str(tmp_path / "a.csv")], out, None, ImportOptions())
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    import_demos([str(tmp_path / "a.csv")], out, None, ImportOptions())
+    assert before == {p.name: p.read_bytes() for p in out.iterdir()}
+    with pytest.raises(PlanspaceError, match="made with other settings: content was"):
+        import_demos([str(tmp_path / "a.csv")], out, None, ImportOptions(states={"y": "x"}))
+    assert describe(out)["made_by"] == {"imported": "a.csv"}
+
+
+def test_exports_of_no_kind_are_refused(demos: Demos, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"demos\.txt has no kind .* FILE\.npz, FILE\.csv or minari:ID"):
+        export_demos(demos, str(tmp_path / "demos.txt"))
+    with pytest.raises(PlanspaceError, match="cannot write"):
+        export_demos(demos, str(tmp_path / "nowhere" / "demos.csv"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_assignments_are_names_and_columns() -> None:
+    assert assignments("--state", ["x=a=b", "y = c"]) == {"x": "a=b", "y": "c"}
+    for texts, message in ((["x"], "needs NAME=COLUMN, got 'x'"), (["x=1", "x=2"], "names 'x' twice")):
+        with pytest.raises(UsageError, match=f"--state {message}"):
+            assignments("--state", texts)
+    with pytest.raises(UsageError, match="--dt must be a positive number"):
+        ImportOptions(dt=float("nan"))

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from planspace.errors import PlanspaceError
-from planspace.physics.simulate import Simulator, load_model, replay
+from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.simulate import Simulator, Validity, load_model, replay
 from planspace.physics.space import StateSpace
 from planspace.tasks import TASKS
 
@@ -94,3 +94,69 @@ def test_models_keep_their_divergence() -> None:
     model = load_model("<mujoco/>")
     assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert StateSpace.from_model(model, []).size == 0
+
+
+BALL_AND_WALLS = """<mujoco><option timestep="0.01"/><worldbody>
+  <geom name="left" type="box" pos="-1 0 0" size="0.1 1 1"/>
+  <geom name="right" type="box" pos="1 0 0" size="0.1 1 1"/>
+  <body><joint name="x" type="slide" axis="1 0 0" range="-2 2" limited="true"/>
+    <geom name="ball" size="0.1"/></body>
+</worldbody>
+<actuator><motor joint="x" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("forbidden", "valid"),
+    [
+        ("none", [True, True, True]),
+        ("all", [True, False, False]),
+        ((("ball", "left"),), [True, False, True]),
+        ((("right", "ball"),), [True, True, False]),
+    ],
+)
+@pytest.mark.parametrize("kinematic", [False, True])
+def test_forbidden_contacts_make_edges_and_states_invalid(
+    forbidden: str | tuple[tuple[str, str], ...], valid: list[bool], kinematic: bool
+) -> None:
+    validity = Validity(forbidden)
+    model = load_model(BALL_AND_WALLS, validity.pairs)
+    space = StateSpace.from_model(model, ["x"], kinematic=kinematic)
+    simulator = Simulator(model, space, 3, threads=1, validity=validity)
+    moving = [[0.0, 0.0], [-0.75, -2.0], [0.75, 2.0]]  # the walls begin at 0.8 for the ball's centre
+    starts = np.array([row[: space.size] for row in moving])
+    controls = np.array([[0.0], [-5.0], [5.0]])
+    _, found = simulator.propagate(starts, controls, np.array([10, 10, 10]))
+    assert found.tolist() == valid
+    inside = np.zeros((3, space.size))
+    inside[:, 0] = 0.0, -0.95, 0.95
+    assert simulator.valid_states(inside).tolist() == valid
+
+
+def test_a_predicate_can_forbid_states_on_the_way() -> None:
+    model = load_model(BALL_AND_WALLS)
+    space = StateSpace.from_model(model, ["x"], kinematic=True)
+    validity = Validity(predicate=lambda x: np.abs(x[:, 0] - 0.2) > 0.05)
+    simulator = Simulator(model, space, 2, threads=1, validity=validity)
+    # at 50 m/s a step of 0.01 s is 0.5 m: the first jumps over 0.2, the second stops there on its way
+    ends, valid = simulator.propagate(np.zeros((2, 1)), np.array([[50.0], [20.0]]), np.array([1, 2]))
+    np.testing.assert_allclose(ends[:, 0], [0.5, 0.4])
+    assert valid.tolist() == [True, False]
+
+
+def test_unknown_geoms_and_actuators_with_a_state_are_refused() -> None:
+    with pytest.raises(UsageError, match="unknown geom 'bal'. Did you mean 'ball'"):
+        load_model(BALL_AND_WALLS, (("bal", "left"),))
+    model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="filter" dynprm="0.1"'))
+    with pytest.raises(UsageError, match="actuators have activations"):
+        Simulator(model, StateSpace.from_model(model, ["x"]), 1)
+
+
+def test_watching_contacts_does_not_change_the_dynamics() -> None:
+    plain, watched = load_model(BALL_AND_WALLS), load_model(BALL_AND_WALLS, (("ball", "left"),))
+    assert (plain.nsensor, watched.nsensor) == (0, 1)
+    controls, times = np.linspace(-1, 1, 60)[:, None], np.arange(61) * 0.01
+    rolled = [
+        replay(m, StateSpace.from_model(m, ["x"]), np.array([-0.5, -3.0]), controls, times)
+        for m in (plain, watched)
+    ]
+    np.testing.assert_array_equal(*rolled)

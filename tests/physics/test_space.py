@@ -1,3 +1,4 @@
+import mujoco
 import numpy as np
 import pytest
 
@@ -47,12 +48,123 @@ def test_bounds_refuse_limits_speed_and_nan(cartpole: StateSpace) -> None:
     assert cartpole.in_bounds(states).tolist() == [True, False, False, False, False]
 
 
-def test_unknown_and_ball_joints_are_refused_by_name() -> None:
+def test_unknown_joints_are_refused_by_name() -> None:
     model, _ = load_problem("cartpole").compile()
     with pytest.raises(UsageError, match="unknown joint 'hinje'. Did you mean 'hinge'"):
         StateSpace.from_model(model, ["slider", "hinje"])
-    ball = load_model(
-        "<mujoco><worldbody><body><joint name='b' type='ball'/><geom size='1'/></body></worldbody></mujoco>"
-    )
-    with pytest.raises(UsageError, match="joint 'b' is a ball or free joint"):
-        StateSpace.from_model(ball, ["b"])
+
+
+MIXED = """<mujoco><compiler angle="radian"/><worldbody>
+  <body><joint name="slide" type="slide" range="-1 2" limited="true"/><geom size="0.1"/>
+    <body><joint name="ball" type="ball" range="0 2" limited="true"/><geom size="0.1"/></body></body>
+  <body pos="0 0 3"><freejoint name="free"/><geom size="0.1"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture
+def mixed() -> StateSpace:
+    """A slide, a limited ball and a free joint: 1 + 4 + 7 positions, 1 + 3 + 6 velocities."""
+    bounds = {"free": ([-1.0, -2.0, 0.0], [1.0, 2.0, 3.0])}
+    return StateSpace.from_model(load_model(MIXED), ["slide", "ball", "free"], position_bounds=bounds)
+
+
+def test_reads_balls_and_free_joints(mixed: StateSpace) -> None:
+    assert (mixed.size, mixed.tangent_size) == (22, 20)
+    assert mixed.quaternion_columns == (1, 8)
+    assert mixed.names[:9] == (
+        "slide", "ball_qw", "ball_qx", "ball_qy", "ball_qz", "free_x", "free_y", "free_z", "free_qw",
+    )  # fmt: skip
+    assert mixed.names[12:16] == ("slidevel", "ball_rxvel", "ball_ryvel", "ball_rzvel")
+    assert len(mixed.units) == len(mixed.names) == 22
+    assert mixed.bounded == ((0, 0), (5, 4), (6, 5), (7, 6))
+
+
+def test_integrating_a_difference_arrives_and_agrees_with_mujoco(
+    mixed: StateSpace, rng: np.random.Generator
+) -> None:
+    a, b = (mixed.sample(rng, 50, np.full(10, 2.0)) for _ in range(2))
+    there = mixed.integrate(b, mixed.difference(a, b))
+    np.testing.assert_allclose(mixed.difference(there, a), 0, atol=1e-10)
+    np.testing.assert_allclose(np.linalg.norm(there[:, 1:5], axis=1), 1)
+    # MuJoCo's own difference of positions, over one second
+    model = load_model(MIXED)
+    velocity = np.zeros(model.nv)
+    mujoco.mj_differentiatePos(model, velocity, 1.0, b[0, :12], a[0, :12])
+    np.testing.assert_allclose(mixed.difference(a[0], b[0])[:10], velocity, atol=1e-10)
+
+
+def test_a_quaternion_and_its_negative_are_one_state(mixed: StateSpace, rng: np.random.Generator) -> None:
+    x = mixed.sample(rng, 5, np.ones(10))
+    y = x.copy()
+    y[:, 1:5] *= -1
+    np.testing.assert_allclose(mixed.distance(x, y), 0, atol=1e-12)
+    weights = mixed.default_weights(np.ones(10))
+    np.testing.assert_allclose(mixed.features(x, weights), mixed.features(y, weights))
+
+
+def test_features_keep_small_distances_and_their_images_find_the_other_side(mixed: StateSpace) -> None:
+    weights = np.ones(20)
+    x = np.zeros((2, 22))
+    x[:, 8] = 1.0
+    # two rotations by nearly pi about x, from either side: 0.02 rad apart, with quaternions of opposite sign
+    for row, angle in enumerate((np.pi - 0.01, np.pi + 0.01)):
+        x[row, 1:3] = np.cos(angle / 2), np.sin(angle / 2)
+    near, far = mixed.features(x, weights)
+    assert np.linalg.norm(near - far) > 3.9  # 2 (q + q') is nearly 4 long
+    best = min(np.linalg.norm(near - image) for image in mixed.mirrored(far))
+    assert best == pytest.approx(0.02, rel=1e-3)
+
+
+def test_interpolation_is_even_and_goes_the_short_way(mixed: StateSpace, rng: np.random.Generator) -> None:
+    a, b = mixed.sample(rng, 2, np.ones(10))
+    path = mixed.interpolate(a, b, np.linspace(0, 1, 5))
+    steps = mixed.difference(path[1:], path[:-1])
+    np.testing.assert_allclose(steps, np.tile(steps[0], (4, 1)), atol=1e-10)
+    np.testing.assert_allclose(mixed.difference(path[-1], b), 0, atol=1e-10)
+
+
+def test_a_limited_ball_stays_within_its_range(mixed: StateSpace) -> None:
+    x = np.zeros((2, 22))
+    x[:, 8] = 1.0
+    for row, angle in enumerate((1.9, 2.1)):  # the range is 2 rad
+        x[row, 1:3] = np.cos(angle / 2), np.sin(angle / 2)
+    assert mixed.in_bounds(x).tolist() == [True, False]
+
+
+def test_default_weights_count_every_number_by_its_range(mixed: StateSpace) -> None:
+    weights = mixed.default_weights(np.full(10, 4.0))
+    np.testing.assert_allclose(weights[[0, 4, 5, 6]], [2 / 3, 1, 0.5, 2 / 3])  # 2 / range
+    np.testing.assert_allclose(weights[[1, 2, 3, 7]], 1)  # rotations: 1 a radian
+    np.testing.assert_allclose(weights[10:], 0.25)  # 1 / speed
+
+
+def test_samples_are_within_bounds_and_spread(mixed: StateSpace, rng: np.random.Generator) -> None:
+    states = mixed.sample(rng, 2000, np.full(10, 2.0))
+    balls = np.linalg.norm(mixed.difference(states, np.eye(22)[1] + np.eye(22)[8])[:, 1:4], axis=1)
+    assert 0.3 < (balls < np.pi / 2).mean() * np.pi < 0.8  # uniform on SO(3): share (pi/2 - 1)/pi = 0.18
+    inside = states[balls < 2]
+    assert mixed.in_bounds(inside).all()
+
+
+def test_a_kinematic_space_has_no_velocities() -> None:
+    model = load_model(MIXED)
+    space = StateSpace.from_model(model, ["slide", "ball"], kinematic=True)
+    assert (space.size, space.tangent_size) == (5, 4)
+    qpos, qvel = model.qpos0.copy(), np.ones(model.nv)
+    space.write(np.array([0.5, 0.0, 1.0, 0.0, 0.0]), qpos, qvel)
+    assert qvel[:4].tolist() == [0, 0, 0, 0]
+    np.testing.assert_array_equal(space.read(qpos, qvel), [0.5, 0.0, 1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"velocity_bound": [1.0, 2.0]}, "velocity_bound has 2 numbers; the joints have 10 velocities"),
+        ({"position_bounds": {"fre": ([0.0], [1.0])}}, "Did you mean 'free'"),
+        ({"position_bounds": {"free": ([0.0], [1.0])}}, "a free joint takes 3 numbers a side"),
+        ({"position_bounds": {"ball": ([0.0], [1.0])}}, "a ball joint takes 0 numbers a side"),
+    ],
+)
+def test_bounds_that_do_not_fit_are_refused(settings: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        StateSpace.from_model(load_model(MIXED), ["slide", "ball", "free"], **settings)

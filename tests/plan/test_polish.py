@@ -1,43 +1,122 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.polish import GoalRegulator, TailConfig, linearise
-from planspace.plan.problem import load_problem
-
-WEIGHTS = np.array([1.0, 1.0, 0.3, 0.1])
-
-
-@pytest.fixture(scope="module")
-def simulator() -> Simulator:
-    model, space = load_problem("cartpole-swingup").compile()
-    return Simulator(model, space, 16, threads=1)
+from planspace.plan.generate import PlannerConfig
+from planspace.plan.polish import Polish, PolishConfig
+from planspace.plan.problem import Goal, Problem, load_problem
+from planspace.plan.regulator import Regulator, RegulatorConfig
+from planspace.plan.sst import SST, SSTConfig
 
 
-def test_linearise_predicts_small_steps(simulator: Simulator, rng: np.random.Generator) -> None:
-    dynamics, actuation = linearise(simulator, np.zeros(4))
-    states, controls = rng.uniform(-1e-3, 1e-3, (16, 4)), rng.uniform(-1e-3, 1e-3, (16, 1))
-    simulator.reset(np.zeros((16, 4)))
-    simulator.step(np.zeros((16, 1)))
-    drift = simulator.states()[0]  # the pole's centre is 0.5 mm off its axis: zero is no exact equilibrium
-    simulator.reset(states)
-    simulator.step(controls)
-    predicted = drift + states @ dynamics.T + controls @ actuation.T
-    np.testing.assert_allclose(simulator.states(), predicted, atol=1e-7)
-    assert np.abs(np.linalg.eigvals(dynamics)).max() > 1  # upright is unstable: there is something to do
+def make(problem: Problem) -> Simulator:
+    model, space = problem.compile()
+    return Simulator(model, space, 256, threads=1, validity=problem.validity)
 
 
-def test_the_regulator_catches_a_tilted_pole_and_says_when_it_cannot(simulator: Simulator) -> None:
-    regulator = GoalRegulator(simulator, np.zeros(4), WEIGHTS, TailConfig())
-    starts = np.array([[0.1, 0.2, 0.0, 0.0], [0.0, np.pi, 0.0, 0.0], [0.0, 2 * np.pi + 0.1, 0.0, 0.0]])
-    steps, arrived = regulator.steps_to_goal(simulator, starts, tolerance=0.1)
-    assert arrived.tolist() == [True, False, True]  # hanging is too far; a winding does not matter
-    assert 1 < steps[0] <= TailConfig().max_steps
-    ends = simulator.states()[:3]
-    assert simulator.space.distance(ends, np.zeros(4))[0] <= 0.1
+def rolled(simulator: Simulator, start: np.ndarray, controls: np.ndarray) -> np.ndarray:
+    ids, states = np.array([0], dtype=np.int32), [start]
+    simulator.reset(start[None], ids)
+    for control in controls:
+        simulator.step(control[None], ids=ids)
+        states.append(simulator.states()[0])
+    return np.stack(states)
 
 
-def test_controls_stay_within_the_models_range(simulator: Simulator) -> None:
-    regulator = GoalRegulator(simulator, np.zeros(4), WEIGHTS, TailConfig())
-    far = np.array([[0.9, 1.0, 5.0, 9.0]])
-    assert np.abs(regulator.control(far)).max() == 3.0
+def tree_plan(problem: Problem, simulator: Simulator, start: np.ndarray, goal: Goal) -> np.ndarray:
+    regulator = Regulator(simulator, goal, problem.weights(simulator.space), RegulatorConfig())
+    config = SSTConfig(extensions=256, max_rounds=60)
+    return SST(problem, simulator, regulator, config, np.random.default_rng(0)).solve(start).controls
+
+
+def test_a_double_integrator_moves_in_its_bang_bang_time() -> None:
+    """The reacher's joints are double integrators to 1 %: its best time is known.
+
+    One joint from rest to rest over d rad with |acceleration| <= 200 takes 2 sqrt(d / 200) without damping:
+    over 2 rad 0.2 s, 20 steps; the tolerance of 0.1 and the velocity left in it save about one.
+    """
+    problem = load_problem("reacher")
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    start = np.array([2.0, 1.57, 0.0, 0.0])
+    wandering = tree_plan(problem, simulator, start, goal)
+    controls = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig()).run(start, wandering)
+    assert controls is not None
+    assert goal.reached(rolled(simulator, start, controls)[-1])
+    assert 18 <= len(controls) <= 21 < len(wandering)
+
+
+def test_a_swing_up_gets_shorter_and_stays_within_its_limits() -> None:
+    problem = load_problem("cartpole-swingup")
+    simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    wandering = tree_plan(problem, simulator, start, goal)
+    controls = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig()).run(start, wandering)
+    assert controls is not None
+    states = rolled(simulator, start, controls)
+    assert goal.reached(states[-1]) and not goal.reached(states[:-1]).any()
+    assert simulator.space.in_bounds(states).all() and np.abs(controls).max() <= 3.0
+    assert len(controls) <= 0.75 * len(wandering)
+
+
+def test_effort_is_saved_at_the_same_duration() -> None:
+    problem = replace(load_problem("reacher"), cost="effort")
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    start = np.array([2.0, 1.57, 0.0, 0.0])
+    wandering = tree_plan(problem, simulator, start, goal)
+    polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig(), effort=True)
+    controls = polish.run(start, wandering)
+    assert controls is not None
+    assert goal.reached(rolled(simulator, start, controls)[-1])
+    assert np.abs(controls).sum() < 0.7 * np.abs(wandering).sum()
+
+
+def test_a_plan_that_misses_its_goal_is_landed() -> None:
+    problem = load_problem("cartpole-swingup")
+    simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    near = tree_plan(problem, simulator, start, goal)[:-12]  # without the end of its tail
+    assert not goal.reached(rolled(simulator, start, near)).any()
+    controls = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig()).run(start, near)
+    assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
+
+
+def test_long_plans_are_polished_in_blocks() -> None:
+    problem = load_problem("cartpole-swingup")
+    simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    wandering = tree_plan(problem, simulator, start, goal)
+    config = PolishConfig(max_blocks=len(wandering) // 2)  # so that a block is three steps
+    controls = Polish(simulator, goal, problem.weights(simulator.space), config).run(start, wandering)
+    assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
+    assert len(controls) % 3 == 0 and len(controls) < len(wandering)
+    np.testing.assert_array_equal(controls[::3], controls[1::3])
+
+
+def test_a_goal_out_of_reach_is_given_up() -> None:
+    problem = load_problem("reacher")
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig())
+    assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((5, 2))) is None  # 2 rad in 0.05 s
+    assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((0, 2))) is None
+
+
+@pytest.mark.parametrize("name", ["arm-kinematic", "quadrotor"])
+def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str) -> None:
+    problem = load_problem(name)
+    simulator, config = make(problem), PlannerConfig.for_problem(problem)
+    rng = np.random.default_rng(1)
+    start, goal = problem.draw_start(simulator, rng), problem.draw_goal(simulator.space, rng)
+    weights = problem.weights(simulator.space)
+    regulator = Regulator(simulator, goal, weights, config.regulator)
+    search = SST(problem, simulator, regulator, replace(config.sst, extensions=256), rng).solve(start)
+    assert search.arrived
+    polish = Polish(simulator, goal, weights, replace(config.polish, max_iterations=15))
+    controls = polish.run(start, search.controls)
+    assert controls is not None and len(controls) < len(search.controls)
+    states = rolled(simulator, start, controls)
+    assert goal.reached(states[-1]) and simulator.valid_states(states).all()

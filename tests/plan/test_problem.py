@@ -1,11 +1,14 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulate import ASSETS
-from planspace.plan.problem import load_problem, shipped_problems
+from planspace.physics.simulate import ASSETS, Simulator
+from planspace.plan.generate import PlannerConfig
+from planspace.plan.problem import Box, load_problem, shipped_problems
+from planspace.plan.sst import SSTConfig
 
 GOOD = (ASSETS / "cartpole-swingup.yaml").read_text()
 
@@ -20,9 +23,12 @@ def write(folder: Path, text: str) -> str:
 @pytest.mark.parametrize("name", shipped_problems())
 def test_shipped_problems_load_and_start_in_bounds(name: str, rng: np.random.Generator) -> None:
     problem = load_problem(name)
-    _, space = problem.compile()
-    starts = np.stack([problem.start.sample(rng) for _ in range(100)])
-    assert space.in_bounds(starts).all()
+    model, space = problem.compile()
+    simulator = Simulator(model, space, 64, threads=1, validity=problem.validity)
+    goal = problem.draw_goal(space, rng)
+    starts = np.stack([problem.draw_start(simulator, rng) for _ in range(60)])
+    assert simulator.valid_states(starts).all() and simulator.valid_states(goal.center[None]).all()
+    assert not goal.reached(starts).all()
 
 
 def test_a_file_is_the_same_problem_under_another_name(tmp_path: Path) -> None:
@@ -52,15 +58,118 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("tolerance: 0.1", "", "the key 'tolerance' is missing"),
         ("[slider, hinge]", "[slider, hing]", "unknown joint 'hing'. Did you mean 'hinge'"),
         ("model: cartpole.xml", "model: nowhere.xml", "cannot read .*nowhere.xml"),
-        ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [0.0, 0.0]", "goal has 2 numbers, the state needs 4"),
+        ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [0.0, 0.0]", "goal has 2 numbers, 4 are needed"),
         ("goal: [0.0,", "goal: [2.0,", "goal reaches outside the joint limits"),
         ("low: [-0.2,", "low: [0.9,", "a box needs low <= high"),
         ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: up", "expected a list of numbers, got 'up'"),
         ("tolerance: 0.1", "tolerance: !!python/object/apply:os.getcwd []", "is not valid YAML"),
         ("tolerance: 0.1", "tolerance: [", "is not valid YAML"),
+        ("goal: [0.0,", "goal: [.nan,", "expected finite numbers"),
+        ("model: cartpole.xml", "model: ../cartpole.xml", "'../cartpole.xml', outside its folder"),
+        ("tolerance: 0.1", "tolerance: 0.1\ncost: speed", "unknown cost 'speed'"),
+        ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold is true or false, got 'maybe'"),
+        ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: some", "none, all, or a list of pairs"),
+        ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: [[cart, floor]]", "unknown geom 'floor'"),
+        ("tolerance: 0.1", "tolerance: 0.1\ngoal_weights: [1.0]", "goal_weights has 1 numbers, 4 are"),
+        ("high: [0.2,", "hihg: [0.2,", "unknown key of a box 'hihg'. Did you mean 'high'"),
     ],
 )
 def test_bad_files_are_refused(before: str, after: str, message: str, tmp_path: Path) -> None:
     assert before in GOOD
     with pytest.raises(PlanspaceError, match=message):
         load_problem(write(tmp_path, GOOD.replace(before, after)))
+
+
+def test_a_model_that_does_not_compile_says_where(tmp_path: Path) -> None:
+    path = write(tmp_path, GOOD)
+    (tmp_path / "cartpole.xml").write_text("<mujoco>\n<worldbody>\n<geom radius_='1'/></worldbody></mujoco>")
+    with pytest.raises(PlanspaceError, match=r"cartpole.xml does not compile: .*radius_.*line 3"):
+        load_problem(path)
+
+
+FREE_SLIDER = """<mujoco><worldbody><body><joint name="x" type="slide"/><geom size="0.1"/></body></worldbody>
+<actuator><motor name="push" joint="x"/></actuator></mujoco>"""
+
+
+def test_a_joint_or_an_actuator_without_limits_needs_bounds(tmp_path: Path) -> None:
+    path, text = (
+        write(tmp_path, ""),
+        "model: free.xml\njoints: [x]\nstart: [1, 0]\ngoal: [0, 0]\ntolerance: 0.1\n",
+    )
+    (tmp_path / "free.xml").write_text(FREE_SLIDER)
+    Path(path).write_text(text)
+    with pytest.raises(PlanspaceError, match="an actuator has no control range; give control_bounds"):
+        load_problem(path)
+    text += "control_bounds: {low: [-1], high: [1]}\n"
+    Path(path).write_text(text)
+    with pytest.raises(PlanspaceError, match="joint 'x' has no limits; give it position_bounds"):
+        load_problem(path)
+    Path(path).write_text(text + "position_bounds: {x: {low: [-2], high: [2]}}\n")
+    model, space = load_problem(path).compile()
+    assert space.high[0] == 2.0 and model.actuator_ctrlrange[0].tolist() == [-1, 1]
+
+
+def test_joints_that_are_not_named_are_held(tmp_path: Path) -> None:
+    short = GOOD.replace("joints: [slider, hinge]", "joints: [hinge]")
+    for name, kept in (("start", "{low: [-3.14, -0.1], high: [3.14, 0.1]}"), ("goal", "[0.0, 0.0]")):
+        short = "\n".join(f"{name}: {kept}" if line.startswith(name) else line for line in short.splitlines())
+    short = "\n".join(x for x in short.splitlines() if not x.startswith(("feature", "sample")))
+    with pytest.raises(PlanspaceError, match="no actuator is left"):
+        load_problem(write(tmp_path, short))
+
+
+def test_a_goal_box_is_reached_anywhere_inside(tmp_path: Path) -> None:
+    box = "goal: {low: [-0.5, -0.2, 0.0, 0.0], high: [0.5, 0.2, 0.0, 0.0]}"
+    path = write(tmp_path, GOOD.replace("goal: [0.0, 0.0, 0.0, 0.0]", box))
+    problem = load_problem(path)
+    goal = problem.draw_goal(problem.compile()[1], np.random.default_rng(0))
+    # x is 0.3 outside, theta 0.1 inside its box, xdot 0.5 off: 0.3 + 0 + 0.5
+    assert goal.distance(np.array([0.8, -0.1, 0.5, 0.0])) == pytest.approx(0.8)
+    assert goal.reached(np.array([[0.5, 0.2 - 2 * np.pi, 0.0, 0.0]])).all()
+
+
+def test_the_layout_of_2020_is_read(tmp_path: Path) -> None:
+    text = """
+mujoco_config: cartpole.xml
+planner: sst
+sst_selection_radius: 0.002
+sst_pruning_radius: 0.0005
+start: [0.0, 0.0, 0.0, 0.0]
+start_range: [0.2, 3.14, 0.1, 0.1]
+goal: [0.0, 0.0, 0.0, 0.0]
+time_limit: 30
+"""
+    problem, ours = load_problem(write(tmp_path, text)), load_problem("cartpole-swingup")
+    assert (problem.joints, problem.start, problem.goal) == (ours.joints, ours.start, ours.goal)
+    assert problem.tolerance == 0.1
+    config = PlannerConfig.for_problem(problem)
+    assert config.planner == "sst" and config.sst == SSTConfig()
+    assert (config.ompl.selection_radius, config.ompl.pruning_radius, config.ompl.seconds) == (
+        0.002,
+        5e-4,
+        30,
+    )
+    with pytest.raises(UsageError, match="unknown key 'time_limt'. Did you mean 'time_limit'"):
+        load_problem(write(tmp_path, text.replace("time_limit", "time_limt")))
+
+
+def test_settings_reach_the_parts_they_name() -> None:
+    problem = replace(load_problem("cartpole"), settings=(("min_rounds", 9), ("polish_max_blocks", 50)))
+    config = PlannerConfig.for_problem(problem, restarts=3, ompl_seconds=None)
+    assert (config.sst.min_rounds, config.polish.max_blocks, config.restarts) == (9, 50, 3)
+    with pytest.raises(UsageError, match="unknown setting 'min_round'. Did you mean"):
+        PlannerConfig.for_problem(problem, min_round=3)
+    with pytest.raises(UsageError, match="'min_rounds' takes a number, got 'many'"):
+        PlannerConfig.for_problem(problem, min_rounds="many")
+    with pytest.raises(UsageError, match="unknown planner 'ompl-rtt'. Did you mean 'ompl-rrt'"):
+        PlannerConfig.for_problem(problem, planner="ompl-rtt")
+
+
+def test_a_start_always_in_collision_is_said(rng: np.random.Generator) -> None:
+    problem = load_problem("arm")
+    inside_post = (0.0, 1.57, 0.0, 0.0, *[0.0] * 10)
+    problem = replace(problem, start=Box(inside_post, inside_post))
+    model, space = problem.compile()
+    simulator = Simulator(model, space, 4, threads=1, validity=problem.validity)
+    with pytest.raises(PlanspaceError, match="problem arm: no valid start in 1000 draws: .*collision"):
+        problem.draw_start(simulator, rng)

@@ -1,45 +1,81 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.polish import GoalRegulator, TailConfig
-from planspace.plan.problem import load_problem
-from planspace.plan.sst import SST, SSTConfig, _Tree
+from planspace.plan.problem import Problem, load_problem
+from planspace.plan.regulator import Regulator, RegulatorConfig
+from planspace.plan.sst import IDLE_COST, SST, Search, SSTConfig, _Tree, step_cost
 
 CONFIG = SSTConfig(extensions=256, min_rounds=4, max_rounds=40)
 HANGING = np.array([0.0, np.pi, 0.0, 0.0])
 
 
-def solve(seed: int, config: SSTConfig = CONFIG):
-    problem = load_problem("cartpole-swingup")
+def query(seed: int, config: SSTConfig = CONFIG, problem: Problem | None = None) -> SST:
+    problem = problem or load_problem("cartpole-swingup")
     model, space = problem.compile()
     simulator = Simulator(model, space, max(config.extensions, 16), threads=1)
-    weights = np.array(problem.feature_weights)
-    regulator = GoalRegulator(simulator, np.zeros(4), weights, TailConfig())
-    return SST(problem, simulator, regulator, config, np.random.default_rng(seed)).solve(HANGING)
+    goal = problem.draw_goal(space, np.random.default_rng(0))
+    regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig())
+    return SST(problem, simulator, regulator, config, np.random.default_rng(seed))
+
+
+def solve(seed: int, config: SSTConfig = CONFIG, problem: Problem | None = None) -> Search:
+    return query(seed, config, problem).solve(HANGING)
 
 
 def test_swings_up_from_hanging_and_is_deterministic() -> None:
     first, again, other = solve(0), solve(0), solve(1)
-    assert first is not None and again is not None and other is not None
+    assert first.arrived and other.arrived
     np.testing.assert_array_equal(first.controls, again.controls)
-    np.testing.assert_array_equal(first.durations, again.durations)
     assert first.controls.shape != other.controls.shape or (first.controls != other.controls).any()
     assert np.abs(first.controls).max() <= 3.0
+    assert first.cost == pytest.approx(0.02 * len(first.controls))  # 0.02 s a step
+    simulator = query(0).simulator
+    ids = np.array([0], dtype=np.int32)
+    simulator.reset(HANGING[None], ids)
+    for control in first.controls:
+        simulator.step(control[None], ids=ids)
+    assert query(0).goal.reached(simulator.states()[:1]).all()
 
 
 def test_more_rounds_never_make_a_longer_plan() -> None:
-    short, long = solve(3), solve(3, SSTConfig(extensions=256, min_rounds=20, max_rounds=40))
-    assert short is not None and long is not None
+    short, long = solve(3), solve(3, replace(CONFIG, min_rounds=20))
     assert long.cost <= short.cost
 
 
-def test_gives_up_within_its_budget() -> None:
-    assert solve(0, SSTConfig(extensions=8, min_rounds=1, max_rounds=1)) is None
+def test_effort_is_another_cost_than_duration() -> None:
+    problem = replace(load_problem("cartpole-swingup"), cost="effort")
+    config = replace(CONFIG, min_rounds=30)
+    light = solve(0, config, problem)
+    simulator = query(0).simulator
+    # 0.02 s a step: a tenth for the time, and the share of the full control, 3
+    expected = 0.02 * (IDLE_COST * len(light.controls) + np.abs(light.controls).sum() / 3)
+    assert light.cost == pytest.approx(expected)
+    quick = solve(0, config)
+    assert light.cost < step_cost(problem, simulator, quick.controls).sum()
+
+
+def test_seconds_are_a_budget_too_and_improve_all_the_while() -> None:
+    found = solve(0, replace(CONFIG, seconds=0.5, max_rounds=1))
+    assert found.arrived and found.simulated_steps > 10 * 256
+
+
+def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
+    found = solve(0, SSTConfig(extensions=8, min_rounds=1, max_rounds=1))
+    assert not found.arrived
+    assert 1.0 < found.nearest <= np.pi  # it started pi away
+
+
+@pytest.mark.parametrize("wrong", [{"extensions": 0}, {"shrink": 0.0}, {"shrink": 1.5}])
+def test_settings_out_of_range_are_refused(wrong: dict) -> None:
+    with pytest.raises(ValueError, match="must"):
+        SSTConfig(**wrong)
 
 
 def make_tree(rng: np.random.Generator, rounds: int) -> _Tree:
-    _, space = load_problem("cartpole-swingup").compile()
-    tree = _Tree(HANGING, space, np.ones(4), 0.2)
+    tree = _Tree(HANGING, query(0), 0.2)
     for _ in range(rounds):
         parents = rng.integers(0, len(tree.costs), 64)
         states = np.clip(tree.states[parents] + rng.normal(0, 0.3, (64, 4)), -1, 1)
@@ -47,18 +83,38 @@ def make_tree(rng: np.random.Generator, rounds: int) -> _Tree:
     return tree
 
 
-def test_one_cheapest_representative_a_witness_cell(rng: np.random.Generator) -> None:
+def members(tree: _Tree) -> dict[tuple, list[int]]:
+    """Nodes by their cell, found without the tree's own hashing."""
+    cells: dict[tuple, list[int]] = {}
+    for node, row in enumerate(np.floor(tree.features / tree.cell_size).astype(int).tolist()):
+        cells.setdefault(tuple(row), []).append(node)
+    return cells
+
+
+@pytest.mark.parametrize("shrinks", [0, 3])
+def test_one_cheapest_representative_a_witness_cell(rng: np.random.Generator, shrinks: int) -> None:
     tree = make_tree(rng, 30)
-    for cell, node in tree.cells.items():
-        members = [i for i, c in enumerate(tree._cells(tree.features)) if c == cell]
-        assert tree.costs[node] == min(tree.costs[members])
+    for _ in range(shrinks):
+        tree.shrink(0.8)
+    cells = members(tree)
+    assert len(cells) == len(tree._cells)
+    for nodes in cells.values():
+        winner = tree._winner[tree._cell[nodes[0]]]
+        assert winner in nodes and tree.costs[winner] == min(tree.costs[nodes])
+
+
+def test_shrinking_brings_back_nodes_that_another_had_displaced(rng: np.random.Generator) -> None:
+    tree = make_tree(rng, 30)
+    before = set(tree._winner.tolist())
+    tree.shrink(0.5)
+    after = set(tree._winner.tolist())
+    assert before < after  # every representative stays one, and the star has more of them
 
 
 def test_costs_are_the_sum_of_durations_to_the_root(rng: np.random.Generator) -> None:
     tree = make_tree(rng, 10)
     for node in rng.integers(0, len(tree.costs), 20):
-        _, durations = tree.path(int(node))
-        assert durations.sum() == tree.costs[node]
+        assert 0.02 * len(tree.path(int(node))) == pytest.approx(tree.costs[node])
 
 
 def test_neighbours_agree_with_a_full_search_however_the_index_is_split(rng: np.random.Generator) -> None:

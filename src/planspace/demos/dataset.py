@@ -8,15 +8,19 @@ An episode has T + 1 states and times and T controls: control k is held from sta
 """
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
 from planspace.errors import PlanspaceError
+from planspace.physics.simulate import load_model
+from planspace.physics.space import StateSpace
 from planspace.store import json_hash, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
 
 SCHEMA = 1
@@ -43,6 +47,21 @@ class StateInfo:
     """The model's joints that make the state, where there is a model."""
     mjcf: str = ""
     """The whole model, where there is one."""
+    quaternion_columns: tuple[int, ...] = ()
+    """Where in a state each quaternion (w, x, y, z) begins."""
+    kinematic: bool = False
+    """Whether states are positions alone, and controls velocities."""
+
+    def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
+        """Compiles the model and reads its state space.
+
+        Raises:
+            PlanspaceError: there is no model, or it does not compile.
+        """
+        if not self.mjcf:
+            raise PlanspaceError("the dataset has no model; import it with --problem.")
+        model = load_model(self.mjcf)
+        return model, StateSpace.from_model(model, self.joints, kinematic=self.kinematic)
 
 
 @dataclass(frozen=True)
@@ -63,6 +82,8 @@ class Episode:
     """Its number in the order of planning or recording."""
     seed: int
     """The attempt that made it: failed attempts are retried with the next seed."""
+    cost: float = math.nan
+    """What the planner minimised [s]; NaN where nothing is known of it."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +101,7 @@ class Demos:
     success: np.ndarray
     indices: Int[np.ndarray, " demo"]
     seeds: Int[np.ndarray, " demo"]
+    costs: Float[np.ndarray, " demo"]
 
     def __len__(self) -> int:
         """How many demonstrations."""
@@ -107,6 +129,7 @@ class Demos:
             success=np.array([e.success for e in episodes]),
             indices=np.array([e.index for e in episodes]),
             seeds=np.array([e.seed for e in episodes]),
+            costs=np.array([e.cost for e in episodes], dtype=float),
         )
 
     def episode(self, i: int) -> Episode:
@@ -120,6 +143,7 @@ class Demos:
             success=bool(self.success[i]),
             index=int(self.indices[i]),
             seed=int(self.seeds[i]),
+            cost=float(self.costs[i]),
         )
 
     def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:
@@ -251,7 +275,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _arrays(demos: Demos) -> dict[str, np.ndarray]:
-    names = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds")
+    names = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
     return {name: getattr(demos, name) for name in names}
 
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import MANIFEST, Demos, load_demos
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import load_model, replay
-from planspace.physics.space import StateSpace
+from planspace.physics.simulate import replay
+from planspace.store import read_sealed
 
 REPLAY_TOLERANCE = 1e-6
 """Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
@@ -26,6 +26,7 @@ def describe(folder: Path) -> dict[str, Any]:
         "circular": [demos.info.names[c] for c in demos.info.circular_columns],
         "controls": demos.info.num_controls,
         "problem": demos.info.problem,
+        "made_by": _origin(folder),
         "states_a_demonstration": _spread(lengths),
         "duration_s": _spread(durations),
         "hash": demos.hash,
@@ -62,16 +63,19 @@ def replay_errors(demos: Demos) -> np.ndarray:
     Raises:
         PlanspaceError: the dataset has no model.
     """
-    if not demos.info.mjcf:
-        raise PlanspaceError("the dataset has no model to replay in; import it with --problem.")
-    model = load_model(demos.info.mjcf)
-    space = StateSpace.from_model(model, demos.info.joints)
+    model, space = demos.info.compile()
     errors = []
     for i in range(len(demos)):
         e = demos.episode(i)
         states = replay(model, space, e.states[0], e.controls, e.times)
         errors.append(np.abs(states - e.states).max())
     return np.array(errors)
+
+
+def _origin(folder: Path) -> dict[str, Any]:
+    """What planned the demonstrations, or where they were imported from."""
+    settings = read_sealed(folder / MANIFEST)["settings"]
+    return {key: settings[key] for key in ("planner", "seed", "imported") if key in settings}
 
 
 def _spread(x: np.ndarray) -> dict[str, float]:

@@ -3,16 +3,22 @@
 The physics is MuJoCo's own C code through `mujoco.batch`: bit-identical to a loop over `mj_step` at any
 number of threads. MuJoCo would silently reset a state that diverged; our models switch that off
 (`autoreset`), and `Simulator.diverged` reads the warning counters.
+
+A kinematic space has no dynamics: there a control is the velocity of each degree of freedom, a step moves
+the positions along it, and only contacts are computed.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.physics.space import StateSpace
 
 ASSETS = Path(__file__).parent.parent / "assets"
@@ -24,39 +30,102 @@ _WARNINGS = [
 ]
 
 
-def load_model(xml: str) -> mujoco.MjModel:
+_POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_POS)
+
+GeomPairs = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Validity:
+    """What a state must not do beside leaving its bounds."""
+
+    forbidden_contacts: Literal["none", "all"] | GeomPairs = "none"
+    """No contact is forbidden, every one is, or those between the geoms of each pair."""
+    predicate: Callable[[np.ndarray], np.ndarray] | None = None
+    """States [batch, state] to whether each is allowed [batch]; to be used in workers it must be a function
+    that a module has by name."""
+
+    @property
+    def pairs(self) -> GeomPairs:
+        """The pairs of geoms that must not touch; empty where all or none are meant."""
+        return () if isinstance(self.forbidden_contacts, str) else self.forbidden_contacts
+
+
+FREE = Validity()
+"""Nothing is forbidden."""
+
+
+def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
     """Compiles an MJCF text, with MuJoCo's silent reset of diverged states switched off.
+
+    Args:
+        xml: the model.
+        watched: pairs of geoms whose contact is to be watched: each gets a contact sensor, the last ones of
+            the model, which does not change its dynamics.
 
     Raises:
         PlanspaceError: MuJoCo does not accept it; the message is MuJoCo's.
     """
     try:
-        model = mujoco.MjModel.from_xml_string(xml)
+        if not watched:
+            model = mujoco.MjModel.from_xml_string(xml)
+        else:
+            spec = mujoco.MjSpec.from_string(xml)
+            _watch(spec, watched)
+            model = spec.compile()
     except ValueError as error:
-        raise PlanspaceError(f"the model does not compile: {error}") from error
+        raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
+
+
+def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
+    names = [geom.name for geom in spec.geoms if geom.name]
+    geom, found_once = mujoco.mjtObj.mjOBJ_GEOM, [1, 0, 1]  # data: found; no reduction; one contact
+    for number, pair in enumerate(pairs):
+        for name in pair:
+            if name not in names:
+                raise unknown("geom", name, names)
+        sensor = spec.add_sensor(name=f"planspace_watch_{number}", type=mujoco.mjtSensor.mjSENS_CONTACT)
+        sensor.objtype, sensor.objname, sensor.reftype, sensor.refname = geom, pair[0], geom, pair[1]
+        sensor.intprm = found_once
 
 
 class Simulator:
     """`num` simulations of one model."""
 
-    def __init__(self, model: mujoco.MjModel, space: StateSpace, num: int, *, threads: int = 0):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        space: StateSpace,
+        num: int,
+        *,
+        threads: int = 0,
+        validity: Validity = FREE,
+    ):
         """Starts the simulations.
 
         Args:
-            model: the compiled model.
+            model: the compiled model; it watches the pairs of `validity`, if there are any.
             space: which joints make the state.
             num: how many simulations.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
+            validity: what makes an edge invalid beside leaving the bounds.
+
+        Raises:
+            UsageError: the model's actuators have a state of their own (muscles, filters).
         """
-        self.model, self.space, self.num = model, space, num
+        if model.na and not space.kinematic:
+            raise UsageError("the model's actuators have activations, a state that is not planned for.")
+        self.model, self.space, self.num, self.validity = model, space, num, validity
         self._batch = Batch(model, num, threads)
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._warmstart = self._batch.bind("qacc_warmstart")
-        self.control_low, self.control_high = control_bounds(model)
+        if validity.forbidden_contacts != "none":
+            self._contacts = self._batch.bind("sensordata" if validity.pairs else "ncon")
+        self.control_low, self.control_high = control_bounds(model, space)
 
     def reset(self, states: Float[np.ndarray, "sim state"], ids: np.ndarray | None = None) -> None:
         """Puts simulations (all, or those of `ids`) into the given states, with a cold solver."""
@@ -70,10 +139,18 @@ class Simulator:
     def step(
         self, controls: Float[np.ndarray, "sim control"], num_steps: int = 1, ids: np.ndarray | None = None
     ) -> None:
-        """Holds each control, clipped to the actuators' range, for a number of physics steps."""
+        """Holds each control, clipped to its bounds, for a number of physics steps."""
+        index = slice(None) if ids is None else ids
         clipped = np.clip(controls, self.control_low, self.control_high)
-        self._ctrl[slice(None) if ids is None else ids] = clipped
-        self._batch.step(ids=ids, nstep=num_steps)
+        stage = 0 if self.validity.forbidden_contacts == "none" else _POSITION_STAGE
+        if not self.space.kinematic:
+            self._ctrl[index] = clipped
+            self._batch.step(ids=ids, nstep=num_steps, stage=stage)
+            return
+        moved = self.space.integrate(self.states()[index], clipped * num_steps * self.model.opt.timestep)
+        self.reset(moved, ids)
+        if stage:
+            self._batch.forward(ids=ids, stage=stage)
 
     def states(self) -> Float[np.ndarray, "sim state"]:
         """The states of all simulations."""
@@ -84,6 +161,26 @@ class Simulator:
         warned = self._batch.warning[:, _WARNINGS, 1].any(axis=1)
         finite = np.isfinite(self._qpos).all(axis=1) & np.isfinite(self._qvel).all(axis=1)
         return warned | ~finite
+
+    def allowed(self, num: int) -> Bool[np.ndarray, " sim"]:
+        """Whether each of the first `num` simulations is within bounds now, and does nothing forbidden."""
+        states = self.space.read(self._qpos[:num], self._qvel[:num])
+        allowed = self.space.in_bounds(states)
+        if self.validity.forbidden_contacts != "none":
+            contacts = self._contacts[:num]
+            pairs = len(self.validity.pairs)
+            allowed &= ~(contacts[:, -pairs:] > 0).any(axis=1) if pairs else contacts == 0
+        if self.validity.predicate is not None:
+            allowed &= np.asarray(self.validity.predicate(states), dtype=bool)
+        return allowed
+
+    def valid_states(self, states: Float[np.ndarray, "sim state"]) -> Bool[np.ndarray, " sim"]:
+        """Whether each state is within bounds and does nothing forbidden; overwrites simulations."""
+        ids = np.arange(len(states), dtype=np.int32)
+        self.reset(states, ids)
+        if self.validity.forbidden_contacts != "none":
+            self._batch.forward(ids=ids, stage=_POSITION_STAGE)
+        return self.allowed(len(states))
 
     def mujoco_data(self, sim: int) -> mujoco.MjData:
         """One simulation as an `MjData` with everything computed, for rendering."""
@@ -105,7 +202,8 @@ class Simulator:
             durations: how many physics steps each edge lasts, at least 1.
 
         Returns:
-            Where each edge ends, and whether it is valid: within bounds after every step, and no warning.
+            Where each edge ends, and whether it is valid: within bounds and nothing forbidden after every
+            step, and no warning of any kind.
         """
         order = np.argsort(-durations, kind="stable")  # the longest first: those still moving are a prefix
         sorted_durations = durations[order]
@@ -116,20 +214,38 @@ class Simulator:
         for step in range(int(sorted_durations[0])):
             moving = everyone[: np.searchsorted(-sorted_durations, -step, side="left")]
             self.step(controls[order[: len(moving)]], ids=moving)
-            now = self.space.read(self._qpos[: len(moving)], self._qvel[: len(moving)])
-            valid[: len(moving)] &= self.space.in_bounds(now)
+            valid[: len(moving)] &= self.allowed(len(moving))
         ends = self.space.read(self._qpos[:n], self._qvel[:n])
-        valid &= ~self.diverged()[:n]
+        valid &= ~self._batch.warning[:n, :, 1].any(axis=1)  # of any kind, not of divergence alone
         inverse = np.argsort(order, kind="stable")
         return ends[inverse], valid[inverse]
 
 
-def control_bounds(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+def control_bounds(model: mujoco.MjModel, space: StateSpace) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bound of each control; infinite where the model sets none."""
+    if space.kinematic:
+        return -space.velocity_bound, space.velocity_bound.copy()
     limited = model.actuator_ctrllimited.astype(bool)
     low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
     high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
     return low, high
+
+
+def advance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    space: StateSpace,
+    control: Float[np.ndarray, " control"],
+    num_steps: int = 1,
+) -> Float[np.ndarray, " state"]:
+    """Holds a control for some steps of plain MuJoCo; returns the state after them."""
+    if space.kinematic:
+        before = space.read(data.qpos, data.qvel)
+        space.write(space.integrate(before, control * num_steps * model.opt.timestep), data.qpos, data.qvel)
+    else:
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data, nstep=num_steps)
+    return space.read(data.qpos, data.qvel)
 
 
 def replay(
@@ -161,9 +277,7 @@ def replay(
             repeats = round(interval / own_step)
             whole = repeats >= 1 and abs(interval - repeats * own_step) < 1e-3 * own_step
             model.opt.timestep = own_step if whole else interval
-            data.ctrl[:] = control
-            mujoco.mj_step(model, data, nstep=repeats if whole else 1)
-            states.append(space.read(data.qpos, data.qvel))
+            states.append(advance(model, data, space, control, repeats if whole else 1))
     finally:
         model.opt.timestep = own_step
     return np.stack(states)

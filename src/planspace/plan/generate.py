@@ -6,21 +6,26 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 import planspace
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
-from planspace.errors import PartialResult
+from planspace.errors import PartialResult, UsageError, unknown
 from planspace.physics.angles import unwrap_to_end
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulate import Simulator, advance
 from planspace.physics.space import StateSpace
-from planspace.plan.polish import GoalRegulator, TailConfig
-from planspace.plan.problem import Problem
-from planspace.plan.sst import SST, Solution, SSTConfig
+from planspace.plan.ompl import OMPL_PLANNERS, OMPLConfig, check_ompl, plan_in_process
+from planspace.plan.polish import Polish, PolishConfig, Trajectory
+from planspace.plan.problem import Goal, Problem
+from planspace.plan.regulator import Regulator, RegulatorConfig
+from planspace.plan.sst import SST, Search, SSTConfig, step_cost
 from planspace.progress import progress
 from planspace.store import append_row
 
@@ -28,20 +33,94 @@ SHARD_EPISODES = 10
 """Plans a shard: what a kill can cost, at most, beside those under way."""
 MAX_ATTEMPTS = 3
 """A plan that fails is tried again from another start, this many times in all."""
+MIN_SIMULATIONS = 64
+"""The planner's simulations are at least so many, however few extensions it makes a round."""
+LANDINGS = (1.0, 0.5, 0.2)
+"""A polished plan whose goal cannot be held is polished again towards these shares of the tolerance ..."""
+DEEPER_STEPS = 10
+"""... with so many physics steps more."""
+PLANNERS = ("sst", *OMPL_PLANNERS)
+"""Every planner's name."""
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
     """How demonstrations are planned."""
 
+    planner: str = "sst"
+    """`sst` is ours; `ompl-NAME` one of OMPL's."""
+    restarts: int = 2
+    """Independent searches for each plan, of which the best is kept (one for OMPL's planners)."""
     sst: SSTConfig = field(default_factory=SSTConfig)
     """The sampling planner."""
-    tail: TailConfig = field(default_factory=TailConfig)
-    """The regulator that ends each plan at its goal."""
+    regulator: RegulatorConfig = field(default_factory=RegulatorConfig)
+    """The regulator that takes over near the goal and holds it."""
+    polish: PolishConfig = field(default_factory=PolishConfig)
+    """What makes a plan short."""
+    ompl: OMPLConfig = field(default_factory=OMPLConfig)
+    """OMPL's planners."""
+
+    def __post_init__(self) -> None:
+        """Checks the planner's name."""
+        if self.planner not in PLANNERS:
+            raise unknown("planner", self.planner, PLANNERS)
+
+    @classmethod
+    def for_problem(cls, problem: Problem, **changes: Any) -> "PlannerConfig":
+        """The defaults with the problem's own settings, and further changes.
+
+        Args:
+            problem: its `settings` name fields of the parts, those of OMPL as `ompl_NAME`.
+            changes: fields of this class, or of a part as `part_field`; None leaves the default.
+
+        Raises:
+            UsageError: a setting that no part has.
+        """
+        config = cls(planner=problem.planner)
+        given = {k: v for k, v in changes.items() if v is not None}
+        for key, value in [*problem.settings, *given.items()]:
+            config = config.changed(key, value)
+        return config
+
+    def changed(self, key: str, value: Any) -> "PlannerConfig":
+        """This configuration with one field changed, here or in the part that has it."""
+        parts = {"sst": self.sst, "regulator": self.regulator, "polish": self.polish, "ompl": self.ompl}
+        own = {f.name for f in fields(self)} - parts.keys()
+        if key in own:
+            return replace(self, **{key: value})
+        for name, part in parts.items():
+            short = key.removeprefix(f"{name}_")
+            prefixed = short != key
+            if (prefixed or name == "sst") and short in {f.name for f in fields(part)}:
+                was = getattr(part, short)
+                if isinstance(value, bool) or not isinstance(value, int | float):
+                    raise UsageError(f"setting {key!r} takes a number, got {value!r}.")
+                try:
+                    return replace(self, **{name: replace(part, **{short: type(was)(value)})})
+                except ValueError as error:
+                    raise UsageError(f"setting {key!r}: {error}.") from error
+        known = sorted(own | {f"{n}_{f.name}" for n, part in parts.items() for f in fields(part)})
+        raise unknown("setting", key, known)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A plan that was not found."""
+
+    nearest: float
+    """How near the goal any search came, in the goal's measure."""
+    reason: str
+    """What stood in the way at the last attempt."""
 
 
 def generate(
-    problem: Problem, out: Path, *, num: int, seed: int, config: PlannerConfig, workers: int | None = None
+    problem: Problem,
+    out: Path,
+    *,
+    num: int,
+    seed: int,
+    config: PlannerConfig | None = None,
+    workers: int | None = None,
 ) -> DemoFolder:
     """Plans demonstrations from random starts and stores them.
 
@@ -53,49 +132,67 @@ def generate(
         out: the dataset folder.
         num: how many plans it is to hold.
         seed: the seed of all of them.
-        config: planner settings.
+        config: planner settings; by default the problem's own.
         workers: processes; by default one for each CPU.
 
     Returns:
         The folder.
 
     Raises:
-        PlanspaceError: the folder cannot be written or holds something else.
+        PlanspaceError: the folder cannot be written or holds something else, or the problem has no start.
         PartialResult: some plans failed at every attempt; the others are saved.
     """
+    config = config or PlannerConfig.for_problem(problem)
+    if config.planner != "sst":
+        check_ompl(config.planner, problem)
     folder = DemoFolder(
         out,
         state_info(problem),
         {
             "problem": problem.hash,
             "seed": seed,
-            "planner": "sst",
+            "planner": config.planner,
             "config": asdict(config),
             "versions": {"planspace": planspace.__version__, "mujoco": mujoco.__version__},
         },
     )
     remaining = range(folder.next_index, num)
+    failures: list[Failure] = []
     if remaining:
-        began = time.time()
+        began = time.monotonic()
         with progress("plan", num, done=folder.next_index, unit="plan") as bar:
             batch: list[Episode] = []
-            for i, episode in zip(
-                remaining, _plan_all(problem, config, seed, remaining, workers), strict=True
-            ):
-                if episode is not None:
-                    batch.append(episode)
+            plans = _plan_all(problem, config, seed, remaining, workers)
+            for i, plan in zip(remaining, plans, strict=True):
+                if isinstance(plan, Failure):
+                    failures.append(plan)
+                else:
+                    batch.append(plan)
+                tried = i + 1 - remaining.start
+                rate = (tried - len(failures)) / (time.monotonic() - began) * 60
+                bar.set_postfix_str(
+                    f"{tried - len(failures)} of {tried} solved, {rate:.0f} a minute", refresh=False
+                )
                 bar.update()
                 if (i + 1) % SHARD_EPISODES == 0 or i + 1 == num:
                     folder.append(batch, i + 1)
-                    append_row(out / "log.jsonl", {"time": time.time(), "planned": i + 1, "since": began})
+                    row = {"time": time.time(), "planned": i + 1, "failures": [asdict(f) for f in failures]}
+                    append_row(out / "log.jsonl", row)
                     batch = []
-    missing = folder.next_index - folder.num_episodes
-    if missing:
-        raise PartialResult(
-            f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts; "
-            f"the other {folder.num_episodes} are saved in {out}."
-        )
+    _report_missing(folder, failures)
     return folder
+
+
+def _report_missing(folder: DemoFolder, failures: list[Failure]) -> None:
+    missing = folder.next_index - folder.num_episodes
+    if not missing:
+        return
+    nearest = min((f.nearest for f in failures), default=np.inf)
+    near = f" The nearest came within {nearest:.3g} of it ({failures[-1].reason})." if failures else ""
+    raise PartialResult(
+        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{near} "
+        f"The other {folder.num_episodes} are saved in {folder.path}."
+    )
 
 
 def state_info(problem: Problem) -> StateInfo:
@@ -105,88 +202,184 @@ def state_info(problem: Problem) -> StateInfo:
         names=space.names,
         units=space.units,
         circular_columns=space.circular_columns,
-        num_controls=model.nu,
+        num_controls=space.num_dofs if space.kinematic else model.nu,
         problem=problem.name,
         joints=problem.joints,
         mjcf=problem.mjcf,
+        quaternion_columns=space.quaternion_columns,
+        kinematic=space.kinematic,
     )
 
 
-def plan_one(problem: Problem, config: PlannerConfig, seed: int, index: int) -> Episode | None:
-    """Plans one demonstration and verifies it in plain MuJoCo.
+class Planner:
+    """Plans of one problem, one after another, in one process."""
 
-    Returns:
-        The episode, or None when every attempt failed.
-    """
-    model, space = problem.compile()
-    simulator = Simulator(model, space, max(config.sst.extensions, 64), threads=1)
-    for attempt in range(MAX_ATTEMPTS):
-        rng = np.random.default_rng(np.random.SeedSequence([seed, index, attempt]))
-        start, goal = problem.start.sample(rng), problem.goal.sample(rng)
-        regulator = GoalRegulator(simulator, goal, np.array(problem.feature_weights), config.tail)
-        solution = SST(problem, simulator, regulator, config.sst, rng).solve(start)
-        if solution is None:
-            continue
-        recorded = record(model, problem, regulator, start, solution)
-        if recorded is None:
-            continue
-        states, controls = recorded
-        for column in space.circular_columns:
-            states[:, column] = unwrap_to_end(states[:, column])
-        times = np.arange(len(states)) * model.opt.timestep
-        return Episode(states, controls, times, goal, success=True, index=index, seed=attempt)
-    return None
+    def __init__(self, problem: Problem, config: PlannerConfig, *, threads: int = 1):
+        """Compiles the problem.
+
+        Args:
+            problem: what to plan.
+            config: planner settings.
+            threads: physics threads.
+        """
+        self.problem, self.config = problem, config
+        self.model, self.space = problem.compile()
+        self.simulator = Simulator(
+            self.model,
+            self.space,
+            max(config.sst.extensions, MIN_SIMULATIONS),
+            threads=threads,
+            validity=problem.validity,
+        )
+        self.weights = problem.weights(self.space)
+
+    def plan(self, seed: int, index: int) -> Episode | Failure:
+        """Plans one demonstration, from another start after a failure, and verifies it in plain MuJoCo."""
+        nearest, reason = np.inf, ""
+        for attempt in range(MAX_ATTEMPTS):
+            rng = np.random.default_rng(np.random.SeedSequence([seed, index, attempt]))
+            start = self.problem.draw_start(self.simulator, rng)
+            goal = self.problem.draw_goal(self.space, rng)
+            found = self.connect(start, goal, rng)
+            if not isinstance(found, Failure):
+                times = np.arange(len(found.states)) * self.model.opt.timestep
+                states = _continuous(self.space, found.states)
+                cost = float(step_cost(self.problem, self.simulator, found.controls).sum())
+                return Episode(
+                    states, found.controls, times, goal.center, True, index=index, seed=attempt, cost=cost
+                )
+            nearest, reason = min(nearest, found.nearest), found.reason
+        return Failure(nearest, reason)
+
+    def connect(
+        self, start: Float[np.ndarray, " state"], goal: Goal, rng: np.random.Generator
+    ) -> Trajectory | Failure:
+        """The cheapest verified plan of some searches from one start."""
+        regulator = Regulator(self.simulator, goal, self.weights, self.config.regulator)
+        best, nearest, reason = None, np.inf, ""
+        for _ in range(self.config.restarts if self.config.planner == "sst" else 1):
+            search = self._search(start, goal, regulator, rng)
+            nearest = min(nearest, search.nearest)
+            for controls in self._finished(search, regulator, start):
+                plan = self.record(regulator, start, controls)
+                if isinstance(plan, Trajectory):
+                    if best is None or self._cost(plan) < self._cost(best):
+                        best = plan
+                    break
+                reason = plan
+            else:
+                reason = reason or search.note or "no path found within the budget"
+        return best if best is not None else Failure(nearest, reason)
+
+    def _search(
+        self, start: np.ndarray, goal: Goal, regulator: Regulator, rng: np.random.Generator
+    ) -> Search:
+        if self.config.planner == "sst":
+            return SST(self.problem, self.simulator, regulator, self.config.sst, rng).solve(start)
+        seed = int(rng.integers(1, 1 << 31))
+        return plan_in_process(self.problem, self.config.planner, self.config.ompl, start, goal, seed)
+
+    def _finished(self, search: Search, regulator: Regulator, start: np.ndarray) -> Iterator[np.ndarray]:
+        """Ways to end a search's path, the shortest first; each is tried only if those before fail.
+
+        Where the goal is entered too fast to be held, the next lands deeper in it, with some steps more.
+        """
+        goal = regulator.goal
+        if len(search.controls) == 0:
+            return
+        effort = self.problem.cost == "effort"
+        guess = search.controls
+        for landing in LANDINGS if self.config.polish.max_iterations else ():
+            config = replace(self.config.polish, landing=landing * self.config.polish.landing)
+            polish = Polish(self.simulator, goal, self.weights, config, effort=effort)
+            controls = polish.run(start, guess)
+            if controls is None:
+                break
+            yield controls
+            guess = np.concatenate([controls, self._more(regulator, start, controls)])
+        if search.arrived:
+            yield search.controls
+
+    def _more(self, regulator: Regulator, start: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """What the regulator does in the steps after a plan."""
+        data = mujoco.MjData(self.model)
+        self.space.write(start, data.qpos, data.qvel)
+        state = start
+        for control in controls:
+            state = advance(self.model, data, self.space, control)
+        more = []
+        for _ in range(DEEPER_STEPS):
+            more.append(regulator.control(state))
+            state = advance(self.model, data, self.space, more[-1])
+        return np.stack(more)
+
+    def record(
+        self, regulator: Regulator, start: Float[np.ndarray, " state"], controls: np.ndarray
+    ) -> Trajectory | str:
+        """Runs controls in plain MuJoCo from a start until they first enter the goal region.
+
+        Afterwards what is left of the controls and then the regulator hold the goal, where the problem wants
+        it, which is checked and not recorded.
+
+        Returns:
+            One state and one control for each physics step; or what was wrong: the run leaves the bounds or
+            does what is forbidden, never arrives, or cannot hold the goal.
+        """
+        model, space, data = self.model, self.space, mujoco.MjData(self.model)
+        space.write(start, data.qpos, data.qvel)
+        states = [np.array(start)]
+        for control in controls:
+            if regulator.goal.reached(states[-1]):
+                break
+            states.append(advance(model, data, space, control))
+        if not regulator.goal.reached(states[-1]):
+            return "the path does not arrive when replayed"
+        if len(states) == 1:
+            return "the start lies in the goal region"
+        if any(w.number for w in data.warning) or not self._all_valid(np.stack(states)):
+            return "the path leaves what is valid when replayed"
+        held = states[-1]
+        for control in controls[len(states) - 1 :]:
+            held = advance(model, data, space, control)
+        for _ in range(regulator.config.hold_steps if self.problem.hold else 0):
+            held = advance(model, data, space, regulator.control(held))
+        if not regulator.goal.reached(held):
+            return "the goal cannot be held (hold: false plans without)"
+        return Trajectory(np.stack(states), controls[: len(states) - 1])
+
+    def _all_valid(self, states: np.ndarray) -> bool:
+        size = self.simulator.num
+        parts = [states[i : i + size] for i in range(0, len(states), size)]
+        return all(self.simulator.valid_states(part).all() for part in parts)
+
+    def _cost(self, plan: Trajectory) -> float:
+        return float(step_cost(self.problem, self.simulator, plan.controls).sum())
 
 
-def record(
-    model: mujoco.MjModel,
-    problem: Problem,
-    regulator: GoalRegulator,
-    start: np.ndarray,
-    solution: Solution,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Runs a solution in plain MuJoCo from its start until it first enters the goal region.
-
-    The regulator's controls are computed from the states met on the way, so that the record is what plain
-    MuJoCo does. Afterwards the goal is held, which is checked and not recorded.
-
-    Returns:
-        T + 1 states and T controls, one for each physics step; None if the run leaves the bounds, never
-        arrives, or cannot hold the goal.
-    """
-    space = StateSpace.from_model(model, problem.joints, velocity_bound=problem.velocity_bound)
-    data = mujoco.MjData(model)
-    space.write(start, data.qpos, data.qvel)
-    planned = np.repeat(solution.controls, solution.durations, axis=0)
-    states, controls = [np.array(start)], []
-    deadline = len(planned) + regulator.config.max_steps
-    while space.distance(states[-1], regulator.goal) > problem.tolerance:
-        step = len(controls)
-        if step >= deadline:
-            return None
-        controls.append(planned[step] if step < len(planned) else regulator.control(states[-1]))
-        states.append(_step(model, data, space, controls[-1]))
-        if not space.in_bounds(states[-1]):
-            return None
-    held = states[-1]
-    for _ in range(regulator.config.hold_steps):
-        held = _step(model, data, space, regulator.control(held))
-    if not space.distance(held, regulator.goal) <= problem.tolerance:
-        return None
-    if not controls:  # a start inside the goal region is no demonstration
-        return None
-    return np.stack(states), np.stack(controls)
+def _continuous(space: StateSpace, states: np.ndarray) -> np.ndarray:
+    """Angles end in (-pi, pi] and quaternions with w >= 0; neither jumps on the way."""
+    states = states.copy()
+    for column in space.circular_columns:
+        states[:, column] = unwrap_to_end(states[:, column])
+    for column in space.quaternion_columns:
+        if states[-1, column] < 0:
+            states[:, column : column + 4] *= -1.0
+    return states
 
 
-def _step(model: mujoco.MjModel, data: mujoco.MjData, space: StateSpace, control: np.ndarray) -> np.ndarray:
-    data.ctrl[:] = control
-    mujoco.mj_step(model, data)
-    return space.read(data.qpos, data.qvel)
+def plan_one(problem: Problem, config: PlannerConfig, seed: int, index: int) -> Episode | Failure:
+    """Plans one demonstration."""
+    return _planner(problem, config).plan(seed, index)
+
+
+@lru_cache(maxsize=2)
+def _planner(problem: Problem, config: PlannerConfig) -> Planner:
+    return Planner(problem, config)
 
 
 def _plan_all(
     problem: Problem, config: PlannerConfig, seed: int, indices: range, workers: int | None
-) -> Iterator[Episode | None]:
+) -> Iterator[Episode | Failure]:
     """The plans in order, made in worker processes."""
     workers = min(workers or os.cpu_count() or 1, len(indices))
     if workers == 1:

@@ -1,115 +1,328 @@
-"""The last stretch of a plan: from near the goal into it.
+"""Makes a plan short: sequential linear programming over its controls, simulated in closed loop.
 
-A sampling planner comes near a goal, hardly ever onto it. A linear quadratic regulator (LQR) about the
-goal takes over from the first state it can stabilise; whether it can is found by simulating, not by theory.
+A plan from a random tree wanders. Here its dynamics are linearised along it; a linear program finds the
+change of all controls at once, within their bounds, the joints' limits and a trust region, after which the
+state at an earlier horizon lies in the goal region. The change is simulated at several shares of its size,
+with feedback towards the states the linear model promises: without it an unstable plant (a pole, an acrobot)
+leaves the linear model's reach within a few steps. The horizon shrinks until no program finds a shorter plan.
+
+    delta_k = sum_j S_kj du_j    where S_kj = A_{k-1} ... A_{j+1} B_j
+    minimise |x_N + delta_N - goal|_1  (or the effort)  subject to  low <= u + du <= high,  |du| <= radius
+
+Rejected: iterative LQR with a terminal cost (lands, but has no notion of the shortest horizon); shortcuts
+between states of the plan (two states of an underactuated plant can rarely be joined by a shorter edge).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
+from scipy.optimize import linprog
 
 from planspace.physics.simulate import Simulator
+from planspace.plan import linearise
+from planspace.plan.problem import Goal
 
-DIFFERENCE_STEP = 1e-5
-"""Half the width of the central differences that linearise the dynamics."""
+SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.02, 0.005])
+"""Shares of a change that are simulated side by side."""
+SHORTEST = 0.7
+"""A horizon is shortened to no less than this share at once."""
+LIMIT_MARGIN = 1e-3
+"""Keeps this far from joint limits [m or rad], where the plan itself does."""
+EFFORT_PENALTY = 1e3
+"""What a unit of distance to the goal costs when the effort is minimised."""
+MAX_CUTS = 5
+"""A program is solved again with the limits its solution crosses, at most so many times."""
+PATIENCE = 4
+"""An aim is given up after so many changes that brought little (one that brought nothing counts twice)."""
 
 
 @dataclass(frozen=True)
-class TailConfig:
-    """Settings of the regulator."""
+class PolishConfig:
+    """Settings of the polish."""
 
-    control_cost: float = 0.001
-    """Cost of the largest control, held one step, beside the feature-weighted state cost; small is brisk."""
-    velocity_cost: float = 0.1
-    """Velocities cost this share of what their feature weights say; small lets the tail hurry."""
-    max_steps: int = 75
-    """The regulator has this many physics steps to arrive."""
-    hold_steps: int = 50
-    """After arriving it must still be at the goal this many physics steps later."""
+    max_iterations: int = 80
+    """Linear programs with a simulation after them, in all; 0 leaves the planner's path as it is."""
+    max_blocks: int = 400
+    """A plan of more physics steps is polished in blocks of several steps under one control."""
+    landing: float = 1.0
+    """Aim at this share of the goal's tolerance."""
+    tracking_cost: float = 0.01
+    """Cost of the largest control in the feedback, beside the feature-weighted states; small is stiff."""
 
 
-class GoalRegulator:
-    """An LQR about one goal, with the controls clipped to the model's range."""
+class Trajectory(NamedTuple):
+    """States and the controls between them, one a block."""
+
+    states: Float[np.ndarray, "time state"]
+    controls: Float[np.ndarray, "step control"]
+
+
+class _Model(NamedTuple):
+    """A trajectory's linear model: gains and sensitivities."""
+
+    gains: Float[np.ndarray, "step control tangent"]
+    answers: Float[np.ndarray, "time tangent variable"]
+
+
+class Polish:
+    """Polishes plans to one goal."""
 
     def __init__(
         self,
         simulator: Simulator,
-        goal: Float[np.ndarray, " state"],
-        feature_weights: Float[np.ndarray, " state"],
-        config: TailConfig,
+        goal: Goal,
+        weights: Float[np.ndarray, " tangent"],
+        config: PolishConfig,
+        *,
+        effort: bool = False,
     ):
-        """Linearises the dynamics at the goal and solves the Riccati equation.
+        """Prepares it.
 
         Args:
-            simulator: at least 2 (state + control) simulations; its states are overwritten.
-            goal: the state to reach and hold; nearly an equilibrium with zero control.
-            feature_weights: how much each number of the state counts.
+            simulator: at least 8 simulations; overwritten.
+            goal: where plans are to end.
+            weights: how much each number of a tangent counts in the feedback.
             config: the other settings.
+            effort: minimise the controls' effort at the plan's duration, instead of the duration.
         """
-        self.goal, self.config = goal, config
-        self._space = simulator.space
+        self.simulator, self.goal, self.config, self.effort = simulator, goal, config, effort
+        self.space = simulator.space
         self._low, self._high = simulator.control_low, simulator.control_high
-        dynamics, actuation = linearise(simulator, goal)
-        effort = np.diag(config.control_cost / self._high**2)
-        cost = np.asarray(feature_weights, dtype=float) ** 2
-        cost[len(self._space.joints) :] *= config.velocity_cost
-        self.value = scipy.linalg.solve_discrete_are(dynamics, actuation, np.diag(cost), effort)
-        gain = effort + actuation.T @ self.value @ actuation
-        self.gain = np.linalg.solve(gain, actuation.T @ self.value @ dynamics)
+        self._state_cost = np.asarray(weights, dtype=float) ** 2
+        self._control_cost = config.tracking_cost / (0.5 * (self._high - self._low)) ** 2
+        self._widest = float((self._high - self._low).max())
+        self._stride, self._left = 1, 0
+        self._radius = self._widest
 
-    def control(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch control"]:
-        """The regulator's control in each state."""
-        return np.clip(-self._space.difference(states, self.goal) @ self.gain.T, self._low, self._high)
+    def run(
+        self, start: Float[np.ndarray, " state"], controls: Float[np.ndarray, "step control"]
+    ) -> Float[np.ndarray, "shorter control"] | None:
+        """Lands a plan in the goal region, then makes it as short, or as light, as it can.
 
-    def cost_to_go(self, states: Float[np.ndarray, "batch state"]) -> Float[np.ndarray, " batch"]:
-        """The linear model's cost from each state; orders candidates, promises nothing."""
-        delta = self._space.difference(states, self.goal)
-        return np.einsum("bi,ij,bj->b", delta, self.value, delta)
-
-    def steps_to_goal(
-        self, simulator: Simulator, starts: Float[np.ndarray, "batch state"], tolerance: float
-    ) -> tuple[Int[np.ndarray, " batch"], Bool[np.ndarray, " batch"]]:
-        """Simulates the regulator from each state.
+        Args:
+            start: where it starts.
+            controls: one a physics step; it need not reach the goal.
 
         Returns:
-            How many physics steps until the goal region is entered, and whether it was entered with every
-            state on the way in bounds.
+            The controls of the best plan found, one a physics step; None if none reaches the goal.
         """
-        ids = np.arange(len(starts), dtype=np.int32)
-        simulator.reset(starts, ids)
-        steps = np.zeros(len(starts), dtype=int)
-        arrived = self._space.distance(starts, self.goal) <= tolerance
-        moving = ~arrived
-        for step in range(1, self.config.max_steps + 1):
-            if not moving.any():
+        if len(controls) == 0:
+            return None
+        self._stride = -(-len(controls) // self.config.max_blocks)
+        self._left, self._radius = self.config.max_iterations, self._widest
+        blocks = np.array_split(controls, np.arange(self._stride, len(controls), self._stride))
+        guess = np.stack([block.mean(axis=0) for block in blocks])
+        best = self._land(self._follow(start, controls, guess))
+        if best is None:
+            return None
+        best = self._lighten(best) if self.effort else self._shorten(best)
+        return np.repeat(best.controls, self._stride, axis=0)
+
+    # --- landing and shortening -------------------------------------------------------------------------
+
+    def _land(self, plan: Trajectory) -> Trajectory | None:
+        landed = self._cut(plan)
+        return landed if landed is not None else self._aim(plan, len(plan.controls))
+
+    def _shorten(self, best: Trajectory) -> Trajectory:
+        while self._left > 0 and len(best.controls) > 1:
+            length = len(best.controls)
+            horizon = self._reachable(best)
+            shorter = self._aim(best, horizon)
+            while shorter is None and horizon < length - 1:
+                horizon, self._radius = max(horizon + 1, (horizon + length) // 2), self._widest
+                shorter = self._aim(best, min(horizon, length - 1))
+            if shorter is None:
+                return best
+            best = shorter
+        return best
+
+    def _lighten(self, best: Trajectory) -> Trajectory:
+        """Minimises the effort at a fixed duration."""
+        misses = 0
+        while self._left > 0 and misses < PATIENCE:
+            lighter = self._change(best, len(best.controls), self._model(best), effort=True)
+            valid = [] if lighter is None else [self._cut(plan) for plan in lighter]
+            valid = [plan for plan in valid if plan is not None and self._spent(plan) < self._spent(best)]
+            if valid:
+                best, misses = min(valid, key=self._spent), 0
+            else:
+                misses += 1
+                self._radius *= 0.3
+        return best
+
+    def _spent(self, plan: Trajectory) -> float:
+        return float(np.abs(plan.controls / np.maximum(np.abs(self._low), np.abs(self._high))).sum())
+
+    def _reachable(self, plan: Trajectory) -> int:
+        """The shortest horizon at which the linear model reaches the goal within the trust region."""
+        model = self._model(plan)
+        low, high = max(1, int(SHORTEST * len(plan.controls))), len(plan.controls) - 1
+        while low < high:
+            middle = (low + high) // 2
+            found = self._program(plan, model, middle, effort=False)
+            if found is not None and found[1] <= 0.5 * self.goal.tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        return high
+
+    def _aim(self, plan: Trajectory, horizon: int) -> Trajectory | None:
+        """Changes a plan until it reaches the goal by the horizon; None when that gets nowhere."""
+        stalled, model = 0, self._model(plan)
+        before = float(self.goal.distance(plan.states[horizon]))
+        while self._left > 0 and stalled < PATIENCE:
+            tried = self._change(plan, horizon, model, effort=False)
+            landed = [self._cut(each) for each in tried or []]
+            landed = [each for each in landed if each is not None]
+            if landed:
+                return min(landed, key=lambda each: len(each.controls))
+            ends = [float(self.goal.distance(each.states[-1])) for each in tried or []]
+            if ends and min(ends) < before - 1e-3:
+                share = int(np.argmin(ends))
+                stalled = stalled + 1 if min(ends) > 0.9 * before else 0
+                plan, before = (tried or [])[share], min(ends)
+                model = self._model(plan)
+                self._radius = min(2.0 * self._radius, self._widest) if share == 0 else 0.6 * self._radius
+            else:
+                stalled += 2
+                self._radius *= 0.3
+        return None
+
+    def _cut(self, plan: Trajectory) -> Trajectory | None:
+        """The plan up to where it first enters the goal region, if it does."""
+        inside = self.goal.distance(plan.states) <= self.config.landing * self.goal.tolerance
+        if not inside.any():
+            return None
+        end = int(inside.argmax())
+        return Trajectory(plan.states[: end + 1], plan.controls[:end])
+
+    # --- one change -------------------------------------------------------------------------------------
+
+    def _change(
+        self, plan: Trajectory, horizon: int, model: _Model, *, effort: bool
+    ) -> list[Trajectory] | None:
+        """The allowed ones of the trajectories that shares of the program's change lead to."""
+        self._left -= 1
+        found = self._program(plan, model, horizon, effort=effort)
+        if found is None:
+            return None
+        change = found[0]
+        promised = np.einsum("kij,j->ki", model.answers[: horizon + 1, :, : change.size], change.ravel())
+        states, controls, allowed = self._closed_loop(plan, model.gains, change, promised)
+        kept = np.flatnonzero(allowed)
+        return [Trajectory(states[i], controls[i]) for i in kept]
+
+    def _model(self, plan: Trajectory) -> _Model:
+        a, b = linearise.along(self.simulator, plan.states[:-1], plan.controls, self._stride)
+        gains = linearise.tracking_gains(a, b, self._state_cost, self._control_cost)
+        return _Model(gains, linearise.sensitivities(a, b))
+
+    def _program(
+        self, plan: Trajectory, model: _Model, horizon: int, *, effort: bool
+    ) -> tuple[np.ndarray, float] | None:
+        """The linear program: the change of the controls up to the horizon and the distance it promises."""
+        n, controls = self.space.tangent_size, plan.controls[:horizon]
+        size = controls.size
+        off = self.space.difference(plan.states[horizon], self.goal.center)
+        end = model.answers[horizon][:, :size]
+        # the slack of each number is how far it lies outside the goal's box, on either side
+        rows = [np.hstack([end, -np.eye(n)]), np.hstack([-end, -np.eye(n)])]
+        room = [self.goal.half - off, self.goal.half + off]
+        low = np.maximum(self._low - controls, -self._radius).ravel()
+        high = np.minimum(self._high - controls, self._radius).ravel()
+        weights, bounds = self.goal.weights, np.column_stack([low, high])
+        bounds = np.concatenate([bounds, np.tile([0.0, np.inf], (n, 1))])
+        cost = np.concatenate([np.zeros(size), weights])
+        matrix, limit = np.vstack(rows), np.concatenate(room)
+        if effort:  # one more variable a control: its size after the change
+            scale = 1.0 / np.maximum(np.abs(self._low), np.abs(self._high))
+            scaled = np.diag(np.tile(scale, horizon))
+            sizes = np.hstack([scaled, np.zeros((size, n)), -np.eye(size)])
+            matrix = np.vstack(
+                [np.hstack([matrix, np.zeros((len(matrix), size))]), sizes, sizes * _flip(size, n)]
+            )
+            now = (controls * scale).ravel()
+            limit = np.concatenate([limit, -now, now])
+            cost = np.concatenate([np.zeros(size), EFFORT_PENALTY * weights, np.ones(size)])
+            bounds = np.concatenate([bounds, np.tile([0.0, np.inf], (size, 1))])
+        solved = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs")
+        for _ in range(MAX_CUTS):
+            if solved.x is None:
+                return None
+            crossed = self._crossed_limits(plan, model, solved.x[:size])
+            if not len(crossed[1]):
                 break
-            running = ids[moving]
-            now = simulator.states()[running]
-            simulator.step(self.control(now), ids=running)
-            now = simulator.states()[running]
-            steps[running] = step
-            arrived[running] = self._space.distance(now, self.goal) <= tolerance
-            moving[running] = ~arrived[running] & self._space.in_bounds(now)
-        return steps, arrived & ~simulator.diverged()[: len(starts)]
+            padding = np.zeros((len(crossed[1]), matrix.shape[1] - size))
+            matrix = np.vstack([matrix, np.hstack([crossed[0], padding])])
+            limit = np.concatenate([limit, crossed[1]])
+            solved = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs")
+        if solved.x is None:
+            return None
+        return solved.x[:size].reshape(controls.shape), float(weights @ solved.x[size : size + n])
+
+    def _crossed_limits(
+        self, plan: Trajectory, model: _Model, change: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rows for the position limits that a change would cross: few, so they are added when needed."""
+        horizon = change.size // plan.controls.shape[1]
+        rows, room = [np.empty((0, change.size))], [np.empty(0)]
+        for s, t in self.space.bounded:
+            answer = model.answers[1 : horizon + 1, t, : change.size]
+            moved = answer @ change
+            for sign, bound in ((1.0, self.space.high[s]), (-1.0, self.space.low[s])):
+                left = sign * (bound - plan.states[1 : horizon + 1, s])
+                allowed = np.maximum(left - LIMIT_MARGIN, 0.0)
+                crossed = np.flatnonzero(sign * moved > allowed + 0.1 * LIMIT_MARGIN)
+                rows.append(sign * answer[crossed])
+                room.append(allowed[crossed])
+        return np.concatenate(rows), np.concatenate(room)
+
+    def _closed_loop(
+        self, plan: Trajectory, gains: np.ndarray, change: np.ndarray, promised: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Simulates shares of a change with feedback towards what they promise."""
+        simulator, space, count = self.simulator, self.space, len(SHARES)
+        ids = np.arange(count, dtype=np.int32)
+        states = np.empty((count, len(change) + 1, space.size))
+        controls = np.empty((count, *change.shape))
+        states[:, 0] = plan.states[0]
+        simulator.reset(states[:, 0], ids)
+        allowed = np.ones(count, dtype=bool)
+        for k in range(len(change)):
+            aim = space.integrate(plan.states[k], SHARES[:, None] * promised[k])
+            off = space.difference(states[:, k], aim)
+            wanted = plan.controls[k] + SHARES[:, None] * change[k] - off @ gains[k].T
+            controls[:, k] = np.clip(wanted, self._low, self._high)
+            simulator.step(controls[:, k], self._stride, ids=ids)
+            states[:, k + 1] = simulator.states()[:count]
+            allowed &= simulator.allowed(count)
+        return states, controls, allowed & ~simulator.diverged()[:count]
+
+    def _follow(self, start: np.ndarray, controls: np.ndarray, guess: np.ndarray) -> Trajectory:
+        """The plan in blocks; where a block is several steps, feedback keeps it on the states of the plan."""
+        plan = self._open_loop(start, controls, 1)
+        if self._stride == 1:
+            return plan
+        states = plan.states[:: self._stride][: len(guess)]
+        model = self._model(Trajectory(np.concatenate([states, plan.states[-1:]]), guess))
+        still = np.zeros_like(guess)
+        path = Trajectory(np.concatenate([states, plan.states[-1:]]), guess)
+        promised = np.zeros((len(guess) + 1, self.space.tangent_size))
+        followed, applied, _ = self._closed_loop(path, model.gains, still, promised)
+        return Trajectory(followed[0], applied[0])
+
+    def _open_loop(self, start: np.ndarray, controls: np.ndarray, stride: int) -> Trajectory:
+        states, ids = [start], np.array([0], dtype=np.int32)
+        self.simulator.reset(start[None], ids)
+        for control in controls:
+            self.simulator.step(control[None], stride, ids=ids)
+            states.append(self.simulator.states()[0])
+        return Trajectory(np.stack(states), controls)
 
 
-def linearise(
-    simulator: Simulator, state: Float[np.ndarray, " state"]
-) -> tuple[Float[np.ndarray, "state state"], Float[np.ndarray, "state control"]]:
-    """One physics step linearised at a state and zero control, by central differences.
-
-    (`mjd_transitionFD` would do, but not with the Runge-Kutta integrator our models use.)
-
-    Returns:
-        d next / d state and d next / d control.
-    """
-    n, m = len(state), len(simulator.control_low)
-    nudges = DIFFERENCE_STEP * np.vstack([np.eye(n + m), -np.eye(n + m)])
-    ids = np.arange(len(nudges), dtype=np.int32)
-    simulator.reset(state + nudges[:, :n], ids)
-    simulator.step(nudges[:, n:], ids=ids)
-    after = simulator.states()[: len(nudges)]
-    jacobian = (after[: n + m] - after[n + m :]).T / (2 * DIFFERENCE_STEP)
-    return jacobian[:, :n], jacobian[:, n:]
+def _flip(size: int, n: int) -> np.ndarray:
+    """Turns `u <= e` into `-u <= e`: the sign of the first `size` columns."""
+    return np.concatenate([-np.ones(size), np.ones(n), np.ones(size)])

@@ -1,8 +1,9 @@
 """Planning problems: a model, where plans start, where they end. YAML, read strictly."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -10,11 +11,26 @@ import yaml
 from jaxtyping import Float
 
 from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.physics.simulate import ASSETS, load_model
+from planspace.physics.mjcf import read_model
+from planspace.physics.simulate import ASSETS, GeomPairs, Simulator, Validity, control_bounds, load_model
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.store import json_hash, read_bytes
 
 MAX_FILE_BYTES = 1 << 20
+START_DRAWS = 1000
+"""So many starts are drawn before a problem is said to have none that is valid."""
+TOLERANCE_2020 = 0.1
+"""The goal threshold of the 2020 planner, which its problem files do not name."""
+KEYS_2020 = {
+    "mujoco_config",
+    "planner",
+    "sst_selection_radius",
+    "sst_pruning_radius",
+    "start",
+    "start_range",
+    "goal",
+    "time_limit",
+}
 
 
 @dataclass(frozen=True)
@@ -30,37 +46,143 @@ class Box:
 
 
 @dataclass(frozen=True)
+class Goal:
+    """Where one plan is to end: a box about a state, and how far from it still counts as arrived."""
+
+    space: StateSpace
+    center: Float[np.ndarray, " state"]
+    half: Float[np.ndarray, " tangent"]
+    """Half the width of the box in each direction; zero for a state."""
+    weights: Float[np.ndarray, " tangent"]
+    """How much each number counts; zero where any value will do."""
+    tolerance: float
+
+    def distance(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch"]:
+        """Weighted sum of how far each number lies outside the box."""
+        outside = np.abs(self.space.difference(states, self.center)) - self.half
+        return np.asarray(np.maximum(outside, 0.0) @ self.weights)
+
+    def reached(self, states: Float[np.ndarray, "*batch state"]) -> np.ndarray:
+        """Whether each state lies in the goal region."""
+        return np.asarray(self.distance(states) <= self.tolerance)
+
+
+@dataclass(frozen=True)
 class Problem:
-    """What to plan. Sizes: n joints make a state of 2 n numbers, positions first."""
+    """What to plan. States and tangents are those of `physics.space`."""
 
     name: str
     """What it is called in manifests and messages."""
     mjcf: str
-    """The model's MJCF text."""
+    """The model's MJCF text; joints that are not planned for are held in it."""
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
     start: Box
     """Where plans start [m, rad, m/s, rad/s]."""
     goal: Box
-    """Where plans end; drawn anew for each plan if it is more than a point."""
+    """Where plans end."""
     tolerance: float
-    """A plan has arrived when the sum of absolute differences to its goal is at most this."""
-    feature_weights: tuple[float, ...]
-    """How much each number of a state counts when neighbours are searched."""
-    sample_velocity: tuple[float, ...]
-    """Exploration draws each joint's velocity within plus or minus these [m/s or rad/s]."""
-    velocity_bound: float = DEFAULT_VELOCITY_BOUND
-    """Faster states are out of bounds [m/s or rad/s]."""
+    """A plan has arrived when the weighted sum of absolute differences to its goal is at most this."""
+    goal_random: bool = False
+    """Draw a goal from the box for each plan; otherwise anywhere in the box will do."""
+    goal_weights: tuple[float, ...] = ()
+    """How much each number of a tangent counts in it; all 1 by default."""
+    feature_weights: tuple[float, ...] = ()
+    """How much each number counts when neighbours are searched; by default by its range."""
+    sample_velocity: tuple[float, ...] = ()
+    """Exploration draws each velocity within plus or minus these [m/s or rad/s]; by default its bound."""
+    velocity_bound: tuple[float, ...] = (DEFAULT_VELOCITY_BOUND,)
+    """Faster states are out of bounds [m/s or rad/s]: one bound for all, or one for each."""
+    position_bounds: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = ()
+    """Joint, low and high [m] where the model itself sets no limits."""
+    control_bounds: Box | None = None
+    """Narrower bounds of the controls than the model's."""
+    forbidden_contacts: Literal["none", "all"] | GeomPairs = "none"
+    """Which contacts make a state invalid."""
+    predicate: Callable[[np.ndarray], np.ndarray] | None = None
+    """States to whether each is allowed; from Python only, a problem file names no code."""
+    hold: bool = True
+    """Whether it is checked that the goal can be held."""
+    kinematic: bool = False
+    """Plan positions alone: controls are velocities, and nothing has mass."""
+    cost: Literal["duration", "effort"] = "duration"
+    """What makes a plan good."""
+    planner: str = "sst"
+    """The planner that suits it."""
+    settings: tuple[tuple[str, Any], ...] = ()
+    """Settings of the planner that differ from its defaults."""
+
+    @property
+    def validity(self) -> Validity:
+        """What a state must not do beside leaving its bounds."""
+        return Validity(self.forbidden_contacts, self.predicate)
 
     def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
         """Compiles the model and reads its state space."""
-        model = load_model(self.mjcf)
-        return model, StateSpace.from_model(model, self.joints, velocity_bound=self.velocity_bound)
+        model = load_model(self.mjcf, self.validity.pairs)
+        if self.control_bounds is not None:
+            model.actuator_ctrllimited[:] = 1
+            model.actuator_ctrlrange[:] = np.transpose([self.control_bounds.low, self.control_bounds.high])
+        bound = self.velocity_bound
+        space = StateSpace.from_model(
+            model,
+            self.joints,
+            velocity_bound=bound[0] if len(bound) == 1 else bound,
+            position_bounds={name: (low, high) for name, low, high in self.position_bounds},
+            kinematic=self.kinematic,
+        )
+        return model, space
+
+    def speed(self, space: StateSpace) -> Float[np.ndarray, " dof"]:
+        """How fast exploration goes, for each degree of freedom [m/s or rad/s]."""
+        return np.array(self.sample_velocity) if self.sample_velocity else space.velocity_bound
+
+    def weights(self, space: StateSpace) -> Float[np.ndarray, " tangent"]:
+        """The weights of neighbour search."""
+        return (
+            np.array(self.feature_weights)
+            if self.feature_weights
+            else space.default_weights(self.speed(space))
+        )
+
+    def draw_start(self, simulator: Simulator, rng: np.random.Generator) -> Float[np.ndarray, " state"]:
+        """Draws a valid start.
+
+        Raises:
+            PlanspaceError: none was found.
+        """
+        for _ in range(START_DRAWS):
+            start = simulator.space.normalise(self.start.sample(rng))
+            if simulator.valid_states(start[None])[0]:
+                return start
+        raise PlanspaceError(
+            f"problem {self.name}: no valid start in {START_DRAWS} draws: all are in collision, out of "
+            "bounds, or refused by the predicate."
+        )
+
+    def draw_goal(self, space: StateSpace, rng: np.random.Generator) -> Goal:
+        """The goal of one plan."""
+        weights = np.array(self.goal_weights) if self.goal_weights else np.ones(space.tangent_size)
+        if self.goal_random:
+            center = space.normalise(self.goal.sample(rng))
+            return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
+        low, high = space.normalise(np.array(self.goal.low)), space.normalise(np.array(self.goal.high))
+        half = 0.5 * _straight_difference(space, low, high)
+        return Goal(space, space.integrate(low, half), half, weights, self.tolerance)
 
     @property
     def hash(self) -> str:
         """SHA-256 of everything that defines the problem."""
         return json_hash({f.name: _plain(getattr(self, f.name)) for f in fields(self)})
+
+
+def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """High - low as a tangent, without taking the short way round a circle: a box may span it."""
+    delta = space.difference(high, low)
+    for column in space.circular_columns:
+        if high[column] - low[column] > np.pi:
+            delta[column] = high[column] - low[column]
+    return delta
 
 
 def shipped_problems() -> list[str]:
@@ -69,7 +191,7 @@ def shipped_problems() -> list[str]:
 
 
 def load_problem(name_or_file: str) -> Problem:
-    """Reads a shipped problem by name, or a problem file.
+    """Reads a shipped problem by name, or a problem file; the layout of 2020 is understood too.
 
     Args:
         name_or_file: a name of `shipped_problems()`, or the path of a YAML file; a model named in a file
@@ -88,29 +210,90 @@ def load_problem(name_or_file: str) -> Problem:
 
 def _read_problem(path: Path) -> Problem:
     settings = _read_yaml(path)
-    known = {f.name for f in fields(Problem)} - {"name", "mjcf"} | {"model"}
-    for key in settings:
-        if key not in known:
-            raise PlanspaceError(f"{path}: {unknown('key', str(key), known)}")
-    missing = known - settings.keys() - {"velocity_bound"}
-    if missing:
-        raise PlanspaceError(f"{path}: the key {sorted(missing)[0]!r} is missing.")
     try:
-        problem = Problem(
-            name=path.stem,
-            mjcf=read_bytes(path.parent / str(settings["model"])).decode(),
-            joints=tuple(str(name) for name in settings["joints"]),
-            start=_box(settings["start"]),
-            goal=_box(settings["goal"]),
-            tolerance=float(settings["tolerance"]),
-            feature_weights=_numbers(settings["feature_weights"]),
-            sample_velocity=_numbers(settings["sample_velocity"]),
-            velocity_bound=float(settings.get("velocity_bound", DEFAULT_VELOCITY_BOUND)),
-        )
-    except (TypeError, ValueError, KeyError) as error:
+        problem = _from_2020(path, settings) if "mujoco_config" in settings else _from_keys(path, settings)
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise PlanspaceError(f"{path}: {error}") from error
     _check(problem, path)
     return problem
+
+
+def _from_keys(path: Path, settings: dict[str, Any]) -> Problem:
+    required = {"model", "joints", "start", "goal", "tolerance"}
+    known = {f.name for f in fields(Problem)} - {"name", "mjcf", "goal_random", "predicate"} | required
+    _check_keys(path, settings, known, required)
+    joints = tuple(str(name) for name in settings["joints"])
+    goal = settings["goal"]
+    bound = settings.get("velocity_bound", DEFAULT_VELOCITY_BOUND)
+    return Problem(
+        name=path.stem,
+        mjcf=read_model(_beside(path, str(settings["model"])), joints),
+        joints=joints,
+        start=_box(settings["start"]),
+        goal=_box(goal),
+        goal_random=isinstance(goal, dict) and _flag(goal, "random", False),
+        tolerance=float(settings["tolerance"]),
+        goal_weights=_numbers(settings.get("goal_weights", [])),
+        feature_weights=_numbers(settings.get("feature_weights", [])),
+        sample_velocity=_numbers(settings.get("sample_velocity", [])),
+        velocity_bound=_numbers(bound if isinstance(bound, list) else [bound]),
+        position_bounds=tuple(
+            (str(name), *_sides(value)) for name, value in settings.get("position_bounds", {}).items()
+        ),
+        control_bounds=_box(settings["control_bounds"]) if "control_bounds" in settings else None,
+        forbidden_contacts=_contacts(settings.get("forbidden_contacts", "none")),
+        hold=_flag(settings, "hold", True),
+        kinematic=_flag(settings, "kinematic", False),
+        cost=_cost(settings.get("cost", "duration")),
+        planner=str(settings.get("planner", "sst")),
+        settings=tuple(sorted(dict(settings.get("settings", {})).items())),
+    )
+
+
+def _from_2020(path: Path, settings: dict[str, Any]) -> Problem:
+    """Reads the layout of the 2020 planner.
+
+    All joints of the model are planned for, starts lie within `start_range` of `start`. The radii and the
+    time limit belong to OMPL's metric and planner, so they go to that one; ours takes its own settings.
+    """
+    _check_keys(path, settings, KEYS_2020, {"mujoco_config", "start", "goal"})
+    mjcf = read_model(_beside(path, str(settings["mujoco_config"])))
+    model = load_model(mjcf)
+    center = np.array(_numbers(settings["start"]))
+    reach = np.abs(_numbers(settings.get("start_range", [0.0] * len(center))))
+    ompl = {
+        "selection_radius": settings.get("sst_selection_radius"),
+        "pruning_radius": settings.get("sst_pruning_radius"),
+        "seconds": settings.get("time_limit"),
+    }
+    return Problem(
+        name=path.stem,
+        mjcf=mjcf,
+        joints=tuple(model.joint(i).name for i in range(model.njnt)),
+        start=Box(tuple((center - reach).tolist()), tuple((center + reach).tolist())),
+        goal=_box(settings["goal"]),
+        tolerance=TOLERANCE_2020,
+        settings=tuple((f"ompl_{key}", float(value)) for key, value in ompl.items() if value is not None),
+    )
+
+
+def _check_keys(path: Path, settings: dict[str, Any], known: set[str], required: set[str]) -> None:
+    for key in settings:
+        if key not in known:
+            raise UsageError(f"{path}: {unknown('key', str(key), known)}")
+    missing = sorted(required - settings.keys())
+    if missing:
+        raise PlanspaceError(f"{path}: the key {missing[0]!r} is missing.")
+
+
+def _beside(path: Path, name: str) -> Path:
+    """A file named in a problem file, which must lie in its folder."""
+    file = path.parent / name
+    if not file.resolve().is_relative_to(path.parent.resolve()):
+        raise PlanspaceError(
+            f"{path} refers to {name!r}, outside its folder; copy it beside the problem file."
+        )
+    return file
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -128,38 +311,93 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 def _check(problem: Problem, path: Path) -> None:
     try:
-        _, space = problem.compile()
+        model, space = problem.compile()
     except PlanspaceError as error:
         raise UsageError(f"{path}: {error}") from error
-    sizes = {
-        "start": (len(problem.start.low), space.size),
-        "goal": (len(problem.goal.low), space.size),
-        "feature_weights": (len(problem.feature_weights), space.size),
-        "sample_velocity": (len(problem.sample_velocity), len(space.joints)),
-    }
-    for key, (got, wanted) in sizes.items():
-        if got != wanted:
-            raise PlanspaceError(f"{path}: {key} has {got} numbers, the state needs {wanted}.")
+    controls = space.num_dofs if space.kinematic else model.nu
+    sizes = [
+        ("start", problem.start.low, space.size),
+        ("goal", problem.goal.low, space.size),
+        ("goal_weights", problem.goal_weights, space.tangent_size),
+        ("feature_weights", problem.feature_weights, space.tangent_size),
+        ("sample_velocity", problem.sample_velocity, space.num_dofs),
+        ("control_bounds", problem.control_bounds.low if problem.control_bounds else (), controls),
+    ]
+    for key, got, wanted in sizes:
+        if len(got) not in ((wanted,) if key in ("start", "goal") else (0, wanted)):
+            raise PlanspaceError(f"{path}: {key} has {len(got)} numbers, {wanted} are needed.")
     for key, box in (("start", problem.start), ("goal", problem.goal)):
-        if not space.in_bounds(np.array([box.low, box.high])).all():
+        if not space.in_bounds(space.normalise(np.array([box.low, box.high]))).all():
             raise PlanspaceError(f"{path}: {key} reaches outside the joint limits or the velocity bound.")
+    _check_finite(problem, model, space, path)
+
+
+def _check_finite(problem: Problem, model: mujoco.MjModel, space: StateSpace, path: Path) -> None:
+    """A planner draws positions and controls, so all of them need bounds."""
+    if model.nu == 0 and not space.kinematic:
+        raise PlanspaceError(
+            f"{path}: no actuator is left that moves its joints; there is nothing to control."
+        )
+    if not np.isfinite(control_bounds(model, space)).all():
+        raise PlanspaceError(f"{path}: an actuator has no control range; give control_bounds.")
+    for joint, kind in zip(space.joints, space.kinds, strict=True):
+        part = StateSpace.from_model(
+            model,
+            [joint],
+            position_bounds={n: (a, b) for n, a, b in problem.position_bounds if n == joint},
+        )
+        numbers = {"slide": 1, "hinge": 1, "free": 3}.get(kind, 0)
+        if not (np.isfinite(part.low[:numbers]).all() and np.isfinite(part.high[:numbers]).all()):
+            raise PlanspaceError(f"{path}: joint {joint!r} has no limits; give it position_bounds.")
 
 
 def _box(value: Any) -> Box:
-    if isinstance(value, dict):
-        low, high = _numbers(value["low"]), _numbers(value["high"])
-    else:
-        low = high = _numbers(value)
+    low, high = _sides(value) if isinstance(value, dict) else (_numbers(value), _numbers(value))
+    return Box(low, high)
+
+
+def _sides(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    for key in value:
+        if key not in ("low", "high", "random"):
+            raise ValueError(str(unknown("key of a box", str(key), ["low", "high", "random"])))
+    low, high = _numbers(value["low"]), _numbers(value["high"])
     if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
         raise ValueError(f"a box needs low <= high, number by number; got {low} and {high}")
-    return Box(low, high)
+    return low, high
+
+
+def _contacts(value: Any) -> Literal["none", "all"] | GeomPairs:
+    if value in ("none", "all"):
+        return value
+    pairs = () if isinstance(value, str) else tuple(tuple(str(name) for name in pair) for pair in value)
+    if not pairs or any(len(pair) != 2 for pair in pairs):
+        raise ValueError("forbidden_contacts is none, all, or a list of pairs of geoms")
+    return pairs  # pyright: ignore[reportReturnType]
+
+
+def _cost(value: Any) -> Literal["duration", "effort"]:
+    if value not in ("duration", "effort"):
+        raise ValueError(str(unknown("cost", str(value), ["duration", "effort"])))
+    return value
+
+
+def _flag(settings: dict[str, Any], key: str, default: bool) -> bool:
+    value = settings.get(key, default)
+    if not isinstance(value, bool):
+        raise TypeError(f"{key} is true or false, got {value!r}")
+    return value
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
     if not isinstance(value, list):
         raise TypeError(f"expected a list of numbers, got {value!r}")
-    return tuple(float(v) for v in value)
+    numbers = tuple(float(v) for v in value)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"expected finite numbers, got {value!r}")
+    return numbers
 
 
 def _plain(value: Any) -> Any:
-    return {"low": value.low, "high": value.high} if isinstance(value, Box) else value
+    if isinstance(value, Box):
+        return {"low": value.low, "high": value.high}
+    return f"{value.__module__}:{value.__qualname__}" if callable(value) else value

@@ -1,14 +1,16 @@
-"""SST, batched: stable sparse trees (Li, Littlefield and Bekris 2016) with many extensions a round.
+"""SST*, batched: stable sparse trees (Li, Littlefield and Bekris 2016) with many extensions a round.
 
 Per round: draw random states; for each, choose the cheapest node near it (or the nearest); extend all the
 chosen nodes at once by random controls; keep of the new nodes those that are the cheapest in their witness
-cell. From the new nodes most promising for the goal, the regulator of `polish` tries to finish.
+cell. From the new nodes most promising for the goal, the regulator tries to finish. Every `shrink_every`
+rounds both radii shrink and the tree, with all its nodes, is sorted into the smaller cells: the star.
 
 Kept as in the original: best-near selection and one representative a witness region, which keep the tree
 sparse and its paths short. Different: witness regions are the cells of a grid over the features, found
 by hashing, where the original searches for the nearest witness; many extensions share one round.
 """
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +18,13 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from planspace.physics.simulate import Simulator
-from planspace.physics.space import StateSpace
-from planspace.plan.polish import GoalRegulator
-from planspace.plan.problem import Problem
+from planspace.plan.problem import Goal, Problem
+from planspace.plan.regulator import Regulator
 
 NEIGHBOURS = 8
 """Best-near selection looks at this many neighbours."""
+IDLE_COST = 0.1
+"""Effort counts a second of rest like a tenth of a second at full control, so that plans end."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +33,12 @@ class SSTConfig:
 
     extensions: int = 512
     """Extensions a round."""
-    min_rounds: int = 60
+    min_rounds: int = 4
     """Rounds before a solution is accepted: the time to improve on the first."""
     max_rounds: int = 240
     """Rounds before giving up."""
+    seconds: float = 0.0
+    """If positive, search for so long instead, improving all the while; no longer reproducible."""
     max_edge_steps: int = 10
     """An edge holds its control for 1 to this many physics steps."""
     goal_bias: float = 0.1
@@ -44,25 +49,48 @@ class SSTConfig:
     """Best-near selection: within this distance of features the cheapest node is chosen."""
     witness_size: float = 0.08
     """Side of a witness cell, in features."""
+    shrink: float = 0.8
+    """The two radii are multiplied by this ..."""
+    shrink_every: int = 60
+    """... every so many rounds."""
     tail_candidates: int = 8
     """New nodes a round from which the regulator tries to reach the goal."""
 
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        if min(self.extensions, self.min_rounds, self.max_rounds, self.max_edge_steps) < 1:
+            raise ValueError("extensions, rounds and edge steps must be at least 1")
+        if not (0 < self.shrink <= 1 and self.shrink_every >= 1):
+            raise ValueError(f"shrink must lie in (0, 1], got {self.shrink}")
+
 
 @dataclass(frozen=True)
-class Solution:
-    """A path through the tree and how the regulator ends it."""
+class Search:
+    """What came of a search."""
 
-    controls: Float[np.ndarray, "edge control"]
-    """The control of each edge."""
-    durations: np.ndarray
-    """Physics steps of each edge."""
-    tail_steps: int
-    """Physics steps the regulator takes from the end of the last edge into the goal region."""
+    controls: Float[np.ndarray, "step control"]
+    """The best path found and the regulator's end of it, one control a physics step."""
+    arrived: bool
+    """Whether it ends in the goal region; if not, it is the most promising one."""
+    cost: float
+    """Its cost [s]."""
+    nearest: float
+    """The smallest distance to the goal of any node, in the goal's measure."""
+    nodes: int
+    """Nodes in the tree."""
+    simulated_steps: int
+    """Physics steps taken to extend it."""
+    note: str = ""
+    """What went wrong, if something did."""
 
-    @property
-    def cost(self) -> int:
-        """Physics steps from start to goal."""
-        return int(self.durations.sum()) + self.tail_steps
+
+def step_cost(problem: Problem, simulator: Simulator, controls: np.ndarray) -> np.ndarray:
+    """What one physics step under each control costs [s]: its time, or its share of the full control."""
+    dt = simulator.model.opt.timestep
+    if problem.cost == "duration":
+        return np.full(controls.shape[:-1], dt)
+    largest = np.maximum(np.abs(simulator.control_low), np.abs(simulator.control_high))
+    return dt * (IDLE_COST + (np.abs(controls) / largest).mean(axis=-1))
 
 
 class SST:
@@ -72,7 +100,7 @@ class SST:
         self,
         problem: Problem,
         simulator: Simulator,
-        regulator: GoalRegulator,
+        regulator: Regulator,
         config: SSTConfig,
         rng: np.random.Generator,
     ):
@@ -81,42 +109,50 @@ class SST:
         Args:
             problem: what to plan.
             simulator: at least `config.extensions` simulations; overwritten.
-            regulator: takes over near the goal.
+            regulator: knows the goal, and takes over near it.
             config: settings.
             rng: all randomness of the query.
         """
         self.problem, self.simulator, self.regulator = problem, simulator, regulator
         self.config, self.rng, self.space = config, rng, simulator.space
-        self.weights = np.array(problem.feature_weights)
+        self.goal: Goal = regulator.goal
+        self.weights = problem.weights(self.space)
 
-    def solve(self, start: Float[np.ndarray, " state"]) -> Solution | None:
+    def solve(self, start: Float[np.ndarray, " state"]) -> Search:
         """Searches from a start until a solution has been found and `min_rounds` have passed.
 
         Returns:
-            The shortest solution found, or None.
+            The cheapest solution found; without one, the path to the node from which the goal looked
+            cheapest to reach.
         """
-        tree = _Tree(start, self.space, self.weights, self.config.witness_size)
-        best = self._try_tail(tree, np.array([0]), None)
-        for round_index in range(self.config.max_rounds):
-            if best is not None and round_index >= self.config.min_rounds:
+        c, began = self.config, time.monotonic()
+        tree = _Tree(start, self, c.witness_size)
+        radius, steps = c.selection_radius, 0
+        finish = _Finish(self, tree)
+        finish.consider(np.array([0]))
+        for round_index in range(c.max_rounds if not c.seconds else 1 << 30):
+            if c.seconds:
+                if time.monotonic() - began > c.seconds:
+                    break
+            elif finish.arrived and round_index >= c.min_rounds:
                 break
-            parents = tree.select(self._targets(), self.config.selection_radius)
+            if round_index and round_index % c.shrink_every == 0:
+                radius *= c.shrink
+                tree.shrink(c.shrink)
+            parents = tree.select(self._targets(), radius)
             controls, durations = self._draw_edges()
             ends, valid = self.simulator.propagate(tree.states[parents], controls, durations)
-            new = tree.add(parents[valid], controls[valid], durations[valid], ends[valid])
-            best = self._try_tail(tree, new, best)
-        return best
+            steps += int(durations.sum())
+            finish.consider(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
+        nearest = float(self.goal.distance(tree.states).min())
+        return Search(finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps)
 
     def _targets(self) -> Float[np.ndarray, "extension feature"]:
-        c, n = self.config, len(self.space.joints)
-        bounded = np.isfinite(self.space.low)
-        low = np.where(bounded, self.space.low, -np.pi)
-        high = np.where(bounded, self.space.high, np.pi)
-        speed = np.array(self.problem.sample_velocity)
-        targets = self.rng.uniform(
-            np.concatenate([low, -speed]), np.concatenate([high, speed]), (c.extensions, 2 * n)
-        )
-        targets[: round(c.goal_bias * c.extensions)] = self.regulator.goal
+        c = self.config
+        targets = self.space.sample(self.rng, c.extensions, self.problem.speed(self.space))
+        goals = round(c.goal_bias * c.extensions)
+        within = self.rng.uniform(-1.0, 1.0, (goals, self.space.tangent_size)) * self.goal.half
+        targets[:goals] = self.space.integrate(self.goal.center, within)
         return self.space.features(targets, self.weights)
 
     def _draw_edges(self) -> tuple[np.ndarray, np.ndarray]:
@@ -127,42 +163,62 @@ class SST:
         controls = np.where(extreme, np.where(self.rng.random(shape) < 0.5, low, high), controls)
         return controls, self.rng.integers(1, c.max_edge_steps + 1, c.extensions)
 
-    def _try_tail(self, tree: "_Tree", new: np.ndarray, best: Solution | None) -> Solution | None:
-        if best is not None:
-            new = new[tree.costs[new] < best.cost]
+
+class _Finish:
+    """The best way to the goal so far: a node, and what the regulator does from there."""
+
+    def __init__(self, query: SST, tree: "_Tree"):
+        self.query, self.tree = query, tree
+        self.arrived, self.cost = False, np.inf
+        self._promise = np.inf  # of the node to fall back on: the regulator's own estimate
+        self._node, self._tail = 0, np.empty((0, len(query.simulator.control_low)))
+
+    def consider(self, new: np.ndarray) -> None:
+        """Runs the regulator from the most promising of the new nodes."""
+        query, tree = self.query, self.tree
+        if self.arrived:
+            new = new[tree.costs[new] < self.cost]
         if len(new) == 0:
-            return best
-        states = tree.states[new]
-        order = np.argsort(self.regulator.cost_to_go(states), kind="stable")[: self.config.tail_candidates]
-        steps, arrived = self.regulator.steps_to_goal(self.simulator, states[order], self.problem.tolerance)
-        for index, tail in zip(new[order[arrived]], steps[arrived], strict=True):
-            if best is None or tree.costs[index] + tail < best.cost:
-                best = Solution(*tree.path(int(index)), tail_steps=int(tail))
-        return best
+            return
+        promise = query.regulator.cost_to_go(tree.states[new])
+        order = np.argsort(promise, kind="stable")[: query.config.tail_candidates]
+        tails, steps, arrived = query.regulator.finish(query.simulator, tree.states[new[order]])
+        if not self.arrived and promise[order[0]] < self._promise:
+            self._promise = promise[order[0]]
+            self._node, self._tail = int(new[order[0]]), tails[0, : steps[0]]
+        for i in np.flatnonzero(arrived):
+            tail = tails[i, : steps[i]]
+            cost = tree.costs[new[order[i]]] + step_cost(query.problem, query.simulator, tail).sum()
+            if cost < self.cost:
+                self.arrived, self.cost = True, float(cost)
+                self._node, self._tail = int(new[order[i]]), tail
+
+    def controls(self) -> np.ndarray:
+        """The path to the node, one control a step, and the regulator's end."""
+        return np.concatenate([self.tree.path(self._node), self._tail])
 
 
 class _Tree:
     """The nodes as growing arrays, and one representative for each witness cell."""
 
-    def __init__(
-        self, root: Float[np.ndarray, " state"], space: StateSpace, weights: np.ndarray, cell_size: float
-    ):
-        self.space, self.weights, self.cell_size = space, weights, cell_size
+    def __init__(self, root: Float[np.ndarray, " state"], query: SST, cell_size: float):
+        self.query, self.cell_size = query, cell_size
         self.states = root[None].copy()
-        self.features = space.features(self.states, weights)
-        self.parents = np.array([-1])
-        self.controls: list[np.ndarray] = [np.empty(0)]
-        self.durations = np.array([0])
-        self.costs = np.array([0])
-        self.cells = {self._cells(self.features)[0]: 0}
+        self.features = query.space.features(self.states, query.weights)
+        self.parents, self.durations, self.costs = np.array([-1]), np.array([0]), np.array([0.0])
+        self.controls = np.zeros((1, len(query.simulator.control_low)))
+        self._hash = np.random.default_rng(0).integers(1, 1 << 62, self.features.shape[1]) * 2 + 1
+        self._sort_into_cells()
         self._indexed = 0
         self._old: cKDTree | None = None
 
     def select(self, targets: Float[np.ndarray, "batch feature"], radius: float) -> np.ndarray:
         """Best-near selection: the cheapest node within the radius of each target, else the nearest."""
         distances, nodes = self._neighbours(targets)
-        nodes = self._representatives(nodes)
-        costs = np.where(distances <= radius, self.costs[nodes], np.iinfo(np.int64).max)
+        for image in self.query.space.mirrored(targets):
+            distances, nodes = _nearest(distances, nodes, *self._neighbours(image))
+        nodes = self._winner[self._cell[nodes]]
+        costs = np.where(distances <= radius, self.costs[nodes], np.inf)
         near = distances[:, 0] <= radius
         choice = np.where(near, costs.argmin(axis=1), 0)
         return nodes[np.arange(len(nodes)), choice]
@@ -171,44 +227,67 @@ class _Tree:
         self, parents: np.ndarray, controls: np.ndarray, durations: np.ndarray, states: np.ndarray
     ) -> np.ndarray:
         """Adds the nodes that are the cheapest in their witness cell; returns their numbers."""
-        costs = self.costs[parents] + durations
-        features = self.space.features(states, self.weights)
-        cells = self._cells(features)
-        winners: dict[bytes, int] = {}
-        for i in np.argsort(costs, kind="stable"):
-            cell = cells[i]
-            if cell not in winners and (cell not in self.cells or costs[i] < self.costs[self.cells[cell]]):
-                winners[cell] = int(i)
+        query = self.query
+        costs = self.costs[parents] + durations * step_cost(query.problem, query.simulator, controls)
+        features = query.space.features(states, query.weights)
+        keys = self._keys(features)
+        winners: dict[int, int] = {}
+        for i in np.argsort(costs, kind="stable").tolist():
+            cell = self._cells.get(keys[i])
+            if keys[i] not in winners and (cell is None or costs[i] < self.costs[self._winner[cell]]):
+                winners[keys[i]] = i
         kept = np.array(sorted(winners.values()), dtype=int)
-        new = len(self.costs) + np.arange(len(kept))
-        for number, i in zip(new, kept, strict=True):
-            self.cells[cells[i]] = int(number)
+        first = len(self.costs)
         self.states = np.concatenate([self.states, states[kept]])
         self.features = np.concatenate([self.features, features[kept]])
         self.parents = np.concatenate([self.parents, parents[kept]])
-        self.controls.extend(controls[kept])
+        self.controls = np.concatenate([self.controls, controls[kept]])
         self.durations = np.concatenate([self.durations, durations[kept]])
         self.costs = np.concatenate([self.costs, costs[kept]])
-        return new
+        self._enter(first, [keys[i] for i in kept])
+        return first + np.arange(len(kept))
 
-    def path(self, node: int) -> tuple[np.ndarray, np.ndarray]:
-        """Controls and durations of the edges from the root to a node."""
+    def shrink(self, factor: float) -> None:
+        """Makes the witness cells smaller and chooses a representative for each anew, among all nodes."""
+        self.cell_size *= factor
+        self._sort_into_cells()
+
+    def path(self, node: int) -> Float[np.ndarray, "step control"]:
+        """The controls from the root to a node, one a physics step."""
         chain = []
         while node > 0:
             chain.append(node)
             node = int(self.parents[node])
         chain.reverse()
-        if not chain:
-            return np.empty((0, 0)), np.empty(0, dtype=int)
-        return np.stack([self.controls[i] for i in chain]), self.durations[chain]
+        return np.repeat(self.controls[chain], self.durations[chain], axis=0)
 
-    def _representatives(self, nodes: np.ndarray) -> np.ndarray:
-        flat = self._cells(self.features[nodes.ravel()])
-        return np.array([self.cells[cell] for cell in flat]).reshape(nodes.shape)
+    def _sort_into_cells(self) -> None:
+        self._cells: dict[int, int] = {}
+        self._winner = np.empty(0, dtype=int)  # cell to its representative
+        self._cell = np.empty(0, dtype=int)  # node to its cell
+        self._enter(0, self._keys(self.features))
 
-    def _cells(self, features: np.ndarray) -> list[bytes]:
-        rows = np.floor(features / self.cell_size).astype(np.int32)
-        return [row.tobytes() for row in rows]
+    def _enter(self, first: int, keys: list[int]) -> None:
+        """Puts the nodes from `first` on into their cells; in each the cheapest represents it."""
+        new_cells = []
+        for key in keys:
+            if key not in self._cells:
+                self._cells[key] = len(self._cells)
+                new_cells.append(-1)
+        cells = np.array([self._cells[key] for key in keys], dtype=int)
+        self._cell = np.concatenate([self._cell, cells])
+        self._winner = np.concatenate([self._winner, np.array(new_cells, dtype=int)])
+        for node, cell in enumerate(cells.tolist(), start=first):
+            if self._winner[cell] < 0 or self.costs[node] < self.costs[self._winner[cell]]:
+                self._winner[cell] = node
+
+    def _keys(self, features: np.ndarray) -> list[int]:
+        """A 64-bit hash of each witness cell; two cells share one with a chance of 2^-64."""
+        rows = np.floor(features / self.cell_size).astype(np.int64)
+        with np.errstate(over="ignore"):
+            mixed = rows * self._hash  # wraps round, as a hash may
+            mixed ^= mixed >> 29
+            return (mixed * self._hash[::-1]).sum(axis=1).tolist()
 
     def _neighbours(self, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The nearest nodes by feature distance, nearest first.
@@ -222,11 +301,7 @@ class _Tree:
         distances, nodes = self._query(self._old, targets, 0)
         if size > self._indexed:
             late = self._query(cKDTree(self.features[self._indexed :]), targets, self._indexed)
-            distances = np.concatenate([distances, late[0]], axis=1)
-            nodes = np.concatenate([nodes, late[1]], axis=1)
-            order = np.argsort(distances, axis=1, kind="stable")[:, :NEIGHBOURS]
-            distances = np.take_along_axis(distances, order, axis=1)
-            nodes = np.take_along_axis(nodes, order, axis=1)
+            distances, nodes = _nearest(distances, nodes, *late)
         return distances, nodes
 
     @staticmethod
@@ -235,3 +310,13 @@ class _Tree:
         distances, nodes = index.query(targets, k=k)
         shape = (len(targets), k)
         return distances.reshape(shape), nodes.reshape(shape) + offset
+
+
+def _nearest(
+    distances: np.ndarray, nodes: np.ndarray, more_distances: np.ndarray, more_nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest of two lists of neighbours, in order."""
+    distances = np.concatenate([distances, more_distances], axis=1)
+    nodes = np.concatenate([nodes, more_nodes], axis=1)
+    order = np.argsort(distances, axis=1, kind="stable")[:, :NEIGHBOURS]
+    return np.take_along_axis(distances, order, axis=1), np.take_along_axis(nodes, order, axis=1)

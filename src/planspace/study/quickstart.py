@@ -12,11 +12,8 @@ from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import PRESETS, FitConfig, fit
 from planspace.errors import PlanspaceError, unknown
-from planspace.physics.simulate import load_model
-from planspace.physics.space import StateSpace
 from planspace.plan.generate import PlannerConfig, generate
 from planspace.plan.problem import load_problem
-from planspace.plan.sst import SSTConfig
 from planspace.rl.train import TrainConfig, train
 from planspace.store import Arrays, open_run, read_json, write_json
 from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
@@ -48,7 +45,7 @@ class Budget:
 BUDGETS: dict[str, Budget] = {
     "smoke": Budget(
         demos=12,
-        planner=PlannerConfig(sst=SSTConfig(min_rounds=10)),
+        planner=PlannerConfig(restarts=1),
         fit=replace(PRESETS["modern"], steps=1_500),
         embedding_seeds=5,
         seeds=5,
@@ -185,7 +182,7 @@ def _arm_row(history: Arrays) -> dict[str, Any]:
 
 
 def _end_distances(demos: Demos) -> np.ndarray:
-    space = StateSpace.from_model(load_model(demos.info.mjcf), demos.info.joints)
+    _, space = demos.info.compile()
     return space.distance(demos.states[demos.offsets[1:] - 1], demos.goals)
 
 

@@ -1,0 +1,264 @@
+"""Demonstrations from and to Minari's local datasets (extra `minari`).
+
+A Minari dataset's metadata may describe its environment by a class path. Nothing here makes that
+environment: running code that a file names is how a machine is taken over.
+"""
+
+import importlib.util
+import re
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.observations import choose_states, flat
+from planspace.demos.recording import Imported, ImportOptions, anonymous_info, check_rising, recorded
+from planspace.errors import PlanspaceError, UsageError
+from planspace.store import read_json
+
+METADATA_KEY = "planspace"
+"""Where our exporter keeps what Minari has no field for, of the dataset and of each episode."""
+TIME_KEY = "time"
+"""The entry of an episode's `infos` in which our exporter keeps when each state was reached [s]; a column,
+because Minari 0.5 cannot read a vector back from Arrow."""
+STEP_KEY = "dt"
+ID_PATTERN = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
+
+
+# --- reading ----------------------------------------------------------------------------------------
+
+
+def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions) -> Imported:
+    """Reads a dataset that Minari has on this machine; nothing is downloaded.
+
+    Args:
+        dataset_id: Minari's name of it.
+        info: the problem's states, if there is a problem; otherwise those our exporter wrote down, or
+            `state0`, `state1` ... .
+        options: `states` maps a name to `3`, `key[3]` or `key`; `dt` is the time step [s].
+
+    Raises:
+        UsageError: the name is malformed, or an option does not fit the dataset.
+        PlanspaceError: Minari is missing, has no such dataset, or its content does not fit.
+    """
+    metadata, pairs = _load(dataset_id)
+    ours = _our_info(metadata, dataset_id)
+    if ours is not None and options.dt is not None:
+        raise UsageError(f"--dt has no meaning for {dataset_id}, which has times of its own; leave it out.")
+    step, notices = _step(metadata, options)
+    info = info or ours
+    episodes: list[Episode] = []
+    for i, (data, extra) in enumerate(pairs):
+        where = f"{dataset_id}, episode {i}"
+        states = choose_states(data.observations, info, options, where)
+        controls = flat(data.actions, f"the actions of {where}")
+        if info is None:
+            info = anonymous_info(states.shape[1], controls.shape[1])
+            if options.states:
+                info = replace(info, names=tuple(options.states))
+        if ours is None:
+            episodes.append(recorded(states, controls, np.arange(len(states)) * step, i))
+        else:
+            controls = controls[:, : ours.num_controls]  # our exporter stands in for no control with one 0
+            episodes.append(_our_episode(states, controls, data.infos, extra, where))
+    assert info is not None
+    return Imported(info, episodes, () if ours else notices)
+
+
+def _load(dataset_id: str) -> tuple[dict[str, Any], list[tuple[Any, dict[str, Any]]]]:
+    """The dataset's metadata, and each of its episodes with the metadata it has."""
+    minari = _minari()
+    file = _folder(dataset_id) / "data" / "metadata.json"
+    if not file.exists():
+        raise PlanspaceError(
+            f"Minari has no dataset {dataset_id!r} on this machine; "
+            f"`minari download {dataset_id}` fetches one that is published."
+        )
+    metadata = read_json(file)
+    for key in ("observation_space", "action_space"):
+        if not isinstance(metadata.get(key), str):  # Minari would make the environment to find it out
+            raise PlanspaceError(
+                f"{file} names no {key}; finding it would run code that the file names, which is refused."
+            )
+    with _explained(f"Minari cannot read {dataset_id!r}"):
+        dataset = minari.load_dataset(dataset_id)
+        extras = dataset.storage.get_episode_metadata(dataset.episode_indices)
+        pairs = list(zip(dataset, extras, strict=True))
+    if not pairs:
+        raise PlanspaceError(f"the Minari dataset {dataset_id!r} holds no episodes.")
+    return metadata, pairs
+
+
+def _our_info(metadata: dict[str, Any], dataset_id: str) -> StateInfo | None:
+    """What the states are, if our exporter wrote the dataset."""
+    if METADATA_KEY not in metadata:
+        return None
+    try:
+        known = {field.name for field in fields(StateInfo)}
+        entries: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in metadata[METADATA_KEY]["info"].items()
+            if key in known
+        }
+        info = StateInfo(**entries)
+        fits = len(info.names) == len(info.units) and isinstance(info.mjcf, str)
+        fits = fits and all(0 <= column < len(info.names) for column in info.circular_columns)
+        fits = fits and all(isinstance(text, str) for text in (*info.names, *info.units, *info.joints))
+        fits = fits and isinstance(info.num_controls, int) and info.num_controls >= 0
+    except (KeyError, TypeError, AttributeError) as error:
+        raise PlanspaceError(f"the metadata of {dataset_id!r} that planspace wrote is damaged.") from error
+    if not fits:
+        raise PlanspaceError(f"the metadata of {dataset_id!r} that planspace wrote contradicts itself.")
+    return info
+
+
+def _step(metadata: dict[str, Any], options: ImportOptions) -> tuple[float, tuple[str, ...]]:
+    """The time step [s], and what to say about it."""
+    if options.dt is not None:
+        return options.dt, ()
+    step = metadata.get(STEP_KEY)
+    if isinstance(step, int | float) and 0 < step < np.inf:
+        return float(step), ()
+    return 1.0, ("the dataset does not say how long a step lasts: 1 s is assumed; --dt SECONDS sets it.",)
+
+
+def _our_episode(
+    states: np.ndarray, controls: np.ndarray, infos: Any, extra: dict[str, Any], where: str
+) -> Episode:
+    """An episode of our exporter, with the times, goal and success that Minari has no field for."""
+    prefix = f"{METADATA_KEY}_"
+    try:
+        times = np.asarray(infos[TIME_KEY], dtype=float).reshape(len(states))
+        goal = np.full(states.shape[1], np.nan)
+        goal[:] = np.asarray(extra.get(f"{prefix}goal", np.nan), dtype=float)
+        success, index, seed = (
+            bool(extra[f"{prefix}success"]),
+            extra[f"{prefix}index"],
+            extra[f"{prefix}seed"],
+        )
+        cost = float(extra.get(f"{prefix}cost", np.nan))
+        episode = Episode(states, controls, times, goal, success, int(index), int(seed), cost)
+    except (KeyError, TypeError, ValueError) as error:
+        raise PlanspaceError(f"{where}: what planspace wrote of it is damaged ({error}).") from error
+    check_rising(times, lambda k: f"{where}, state {k}")
+    return episode
+
+
+# --- writing ----------------------------------------------------------------------------------------
+
+
+def write_minari(demos: Demos, dataset_id: str) -> Path:
+    """Writes a local Minari dataset that `read_minari` reads back to the same content.
+
+    Args:
+        demos: the demonstrations; states become observations, controls actions, rewards are 0.
+        dataset_id: Minari's name for it, such as `cartpole/planned-v0`.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        UsageError: the name is malformed.
+        PlanspaceError: Minari or its storage is missing, the name is taken, or it cannot be written;
+            nothing is left behind.
+    """
+    minari = _minari()
+    folder = _folder(dataset_id)
+    if folder.exists():
+        raise PlanspaceError(f"Minari has a dataset {dataset_id!r} already; export under another version.")
+    try:
+        with _explained(f"cannot write the Minari dataset {dataset_id!r}"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Minari warns of each field that has no author, link or e-mail
+            _create(minari, demos, dataset_id)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder
+
+
+def _create(minari: ModuleType, demos: Demos, dataset_id: str) -> None:
+    episodes = [demos.episode(i) for i in range(len(demos))]
+    dataset = minari.create_dataset_from_buffers(
+        dataset_id,
+        [_buffer(e) for e in episodes],
+        observation_space=_box(len(demos.info.names)),
+        action_space=_box(max(1, demos.info.num_controls)),
+        algorithm_name="planspace",
+        description=f"Demonstrations of {demos.info.problem or 'an unnamed problem'}, exported by planspace.",
+        data_format=_storage_format(),
+    )
+    step = float(np.median(np.concatenate([np.diff(e.times) for e in episodes])))
+    dataset.storage.update_metadata({STEP_KEY: step, METADATA_KEY: {"info": asdict(demos.info)}})
+    dataset.storage.update_episode_metadata([_extra(e) for e in episodes])
+
+
+def _buffer(episode: Episode) -> Any:
+    from minari.data_collector import EpisodeBuffer
+
+    steps = len(episode.controls)
+    ends = np.arange(steps) == steps - 1
+    return EpisodeBuffer(
+        observations=episode.states,  # pyright: ignore[reportArgumentType]  # an array does for a list
+        actions=episode.controls if episode.controls.shape[1] else np.zeros((steps, 1)),  # pyright: ignore
+        rewards=[0.0] * steps,
+        terminations=(ends & episode.success).tolist(),
+        truncations=(ends & (not episode.success)).tolist(),
+        infos={TIME_KEY: episode.times[:, None]},
+    )
+
+
+def _extra(episode: Episode) -> dict[str, Any]:
+    prefix = f"{METADATA_KEY}_"
+    known = {"success": episode.success, "index": episode.index, "seed": episode.seed}
+    if np.isfinite(episode.goal).all():
+        known["goal"] = episode.goal.tolist()
+    if np.isfinite(episode.cost):
+        known["cost"] = episode.cost
+    return {prefix + key: value for key, value in known.items()}
+
+
+def _storage_format() -> str:
+    """HDF5, Minari's default, where it is installed."""
+    return "arrow" if importlib.util.find_spec("h5py") is None else "hdf5"
+
+
+def _box(size: int) -> Any:
+    from gymnasium.spaces import Box
+
+    return Box(-np.inf, np.inf, (size,), np.float64)
+
+
+# --- both -------------------------------------------------------------------------------------------
+
+
+def _minari() -> ModuleType:
+    try:
+        import minari
+    except ImportError as error:
+        raise PlanspaceError("Minari is not installed: pip install 'planspace[minari]'.") from error
+    return minari
+
+
+def _folder(dataset_id: str) -> Path:
+    """Where Minari keeps a dataset of this name."""
+    from minari.storage.datasets_root_dir import get_dataset_path
+
+    if not ID_PATTERN.fullmatch(dataset_id):
+        raise UsageError(f"{dataset_id!r} is no Minari dataset; one is called NAME-vN or GROUP/NAME-vN.")
+    return get_dataset_path(dataset_id)
+
+
+@contextmanager
+def _explained(what: str) -> Iterator[None]:
+    """Turns what Minari raises on a dataset it does not like into one line."""
+    try:
+        yield
+    except (ImportError, OSError, ValueError, KeyError, TypeError, AttributeError, AssertionError) as error:
+        raise PlanspaceError(f"{what}: {' '.join(str(error).split()) or type(error).__name__}.") from error

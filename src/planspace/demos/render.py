@@ -1,0 +1,196 @@
+"""Demonstrations as a film: the robot in its recorded states, in real time."""
+
+import importlib
+import io
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from planspace.demos.dataset import Demos, Episode
+from planspace.doctor import rendering_advice, rendering_backend
+from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.progress import progress
+from planspace.store import write_bytes
+
+SUFFIXES = (".gif", ".mp4")
+BACKENDS = ("egl", "osmesa", "glfw", "cgl")
+Image = UInt8[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class FilmConfig:
+    """How demonstrations are filmed."""
+
+    episodes: int = 3
+    """How many demonstrations, from the first on, one after another."""
+    fps: int = 30
+    """Pictures a second."""
+    width: int = 480
+    """Width of the picture [pixels]."""
+    height: int = 360
+    """Height of the picture [pixels]."""
+    camera: str = ""
+    """One of the model's cameras; by default its first, or a free camera where it has none."""
+
+    def __post_init__(self) -> None:
+        """Refuses what no film can be made of."""
+        if min(self.episodes, self.fps, self.width, self.height) < 1:
+            raise UsageError("--episodes, --fps, --width and --height must be at least 1.")
+        if self.fps > 100:
+            raise UsageError(f"--fps can be at most 100, the most a GIF can show; got {self.fps}.")
+
+
+def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
+    """Films demonstrations.
+
+    Args:
+        demos: the demonstrations, with a model.
+        file: the GIF or MP4 to write.
+        config: what is filmed, and how.
+
+    Raises:
+        UsageError: neither a GIF nor an MP4, an odd size of an MP4, or no such camera.
+        PlanspaceError: there is no model, no OpenGL works here, or the file cannot be written.
+    """
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UsageError(f"{file} is no film; --out takes FILE.gif or FILE.mp4.")
+    if suffix == ".mp4" and (config.width % 2 or config.height % 2):
+        raise UsageError(f"an MP4 needs an even width and height, got {config.width} x {config.height}.")
+    encode = _encode_gif if suffix == ".gif" else _mp4_encoder()
+    model, space = demos.info.compile()
+    poses = [_poses(demos.episode(i), config.fps) for i in range(min(config.episodes, len(demos)))]
+    states = space.normalise(np.concatenate(poses))
+    with _camera(model, config) as shoot, progress("render", len(states), unit="picture") as bar:
+
+        def pictures() -> Iterator[Image]:
+            data = mujoco.MjData(model)
+            for state in states:
+                space.write(state, data.qpos, data.qvel)
+                mujoco.mj_forward(model, data)
+                yield shoot(data)
+                bar.update()
+
+        film = encode(pictures(), config)
+    write_bytes(file, film)
+
+
+def _poses(episode: Episode, fps: int) -> Float[np.ndarray, "picture state"]:
+    """The states at the instants of the pictures, between those recorded."""
+    instants = np.arange(int(np.floor(episode.times[-1] * fps)) + 1) / fps
+    return np.stack([np.interp(instants, episode.times, x) for x in episode.states.T], axis=1)
+
+
+# --- drawing ----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[mujoco.MjData], Image]]:
+    """Opens a camera on a model.
+
+    `mujoco.Renderer` draws with the backend that MUJOCO_GL named when MuJoCo was first imported, which
+    `import planspace` does; so that one which works can still be taken, its few calls are made here.
+    """
+    view = _view(model, config.camera)
+    backend = rendering_backend()
+    if backend is None:
+        raise PlanspaceError(
+            f"the robot cannot be drawn: no OpenGL backend works here; {rendering_advice()}."
+        )
+    model.vis.global_.offwidth, model.vis.global_.offheight = config.width, config.height
+    gl = _context_class(backend)(config.width, config.height)
+    gl.make_current()
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    scene = mujoco.MjvScene(model, maxgeom=10_000)
+    whole = mujoco.MjrRect(0, 0, config.width, config.height)
+
+    def shoot(data: mujoco.MjData) -> Image:
+        options, everything = mujoco.MjvOption(), mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(model, data, options, None, view, everything, scene)
+        mujoco.mjr_render(whole, scene, context)
+        picture = np.empty((config.height, config.width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(picture, None, whole, context)
+        return picture[::-1]  # OpenGL counts rows from below
+
+    try:
+        yield shoot
+    finally:
+        context.free()
+        gl.free()
+
+
+def _context_class(backend: str) -> Any:
+    """The class MuJoCo draws in; `on` and its like stand for the platform's own, which it has loaded."""
+    name = backend.lower().strip()
+    return importlib.import_module(f"mujoco.{name}").GLContext if name in BACKENDS else mujoco.GLContext
+
+
+def _view(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
+    view = mujoco.MjvCamera()
+    names = [model.camera(i).name for i in range(model.ncam)]
+    if name and name not in names:
+        raise (
+            unknown("camera", name, names) if names else UsageError("the model has no camera; omit --camera.")
+        )
+    if names:
+        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        view.fixedcamid = names.index(name) if name else 0
+    else:
+        mujoco.mjv_defaultFreeCamera(model, view)
+    return view
+
+
+# --- encoding ---------------------------------------------------------------------------------------
+
+
+def _encode_gif(pictures: Iterator[Image], config: FilmConfig) -> bytes:
+    from PIL import Image as Pillow
+
+    frames = [Pillow.fromarray(picture).quantize(colors=128) for picture in pictures]
+    ends = np.round(np.arange(len(frames) + 1) * 100 / config.fps)  # a GIF counts in hundredths of a second
+    film = io.BytesIO()
+    frames[0].save(
+        film,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=(np.diff(ends) * 10).astype(int).tolist(),
+        loop=0,
+    )
+    return film.getvalue()
+
+
+def _mp4_encoder() -> Callable[[Iterator[Image], FilmConfig], bytes]:
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise PlanspaceError(
+            "MP4 films need imageio-ffmpeg: pip install 'planspace[video]'; or write a FILE.gif."
+        ) from error
+
+    def encode(pictures: Iterator[Image], config: FilmConfig) -> bytes:
+        size = (config.width, config.height)
+        with tempfile.TemporaryDirectory() as folder:
+            film = Path(folder) / "film.mp4"
+            try:
+                writer = imageio_ffmpeg.write_frames(str(film), size, fps=config.fps, macro_block_size=2)
+                writer.send(None)
+                for picture in pictures:
+                    writer.send(np.ascontiguousarray(picture))
+                writer.close()
+                return film.read_bytes()
+            except (OSError, RuntimeError) as error:
+                lines = str(error).strip().splitlines()
+                raise PlanspaceError(
+                    f"ffmpeg cannot write an MP4: {lines[-1] if lines else error!r}."
+                ) from error
+
+    return encode

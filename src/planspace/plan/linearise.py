@@ -1,0 +1,101 @@
+"""Dynamics linearised by finite differences of the batch, in the tangent space of the states.
+
+(`mjd_transitionFD` would do, but not with the Runge-Kutta integrator many models use.)
+
+    A_k = d x_{k+1} / d x_k,    B_k = d x_{k+1} / d u_k
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.physics.simulate import Simulator
+
+NUDGE = 1e-6
+"""Half the width of the differences. Controls are nudged inwards at their bounds, where MuJoCo clips them."""
+EQUILIBRIUM_ITERATIONS = 5
+
+
+def along(
+    simulator: Simulator,
+    states: Float[np.ndarray, "step state"],
+    controls: Float[np.ndarray, "step control"],
+    num_steps: int = 1,
+) -> tuple[Float[np.ndarray, "step tangent tangent"], Float[np.ndarray, "step tangent control"]]:
+    """Linearises at each state and control; overwrites simulations.
+
+    Args:
+        simulator: any number of simulations.
+        states: where.
+        controls: under which control.
+        num_steps: physics steps for which the control is held.
+
+    Returns:
+        A and B at each.
+    """
+    space, count = simulator.space, len(states)
+    n, m = space.tangent_size, controls.shape[1]
+    nudges = np.concatenate([np.eye(n + m), -np.eye(n + m)]) * NUDGE
+    starts = space.integrate(states[:, None], nudges[None, :, :n])
+    held = np.clip(controls[:, None] + nudges[None, :, n:], simulator.control_low, simulator.control_high)
+    ends = _step_all(simulator, starts.reshape(-1, space.size), held.reshape(-1, m), num_steps)
+    ends = ends.reshape(count, 2, n + m, space.size)
+    change = space.difference(ends[:, 0], ends[:, 1])
+    state_part = change[:, :n] / (2 * NUDGE)
+    applied = held.reshape(count, 2, n + m, m)[:, :, n:]
+    width = np.einsum("kii->ki", applied[:, 0] - applied[:, 1])  # half as wide at a bound
+    control_part = change[:, n:] / np.maximum(width, 0.5 * NUDGE)[..., None]
+    return state_part.transpose(0, 2, 1), control_part.transpose(0, 2, 1)
+
+
+def sensitivities(
+    a: Float[np.ndarray, "step tangent tangent"], b: Float[np.ndarray, "step tangent control"]
+) -> Float[np.ndarray, "time tangent variable"]:
+    """How each state of a trajectory answers to each control of it, controls laid end to end."""
+    count, n, m = b.shape
+    answer = np.zeros((count + 1, n, count * m))
+    for k in range(count):
+        answer[k + 1, :, : k * m] = a[k] @ answer[k, :, : k * m]
+        answer[k + 1, :, k * m : (k + 1) * m] = b[k]
+    return answer
+
+
+def tracking_gains(
+    a: Float[np.ndarray, "step tangent tangent"],
+    b: Float[np.ndarray, "step tangent control"],
+    state_cost: Float[np.ndarray, " tangent"],
+    control_cost: Float[np.ndarray, " control"],
+) -> Float[np.ndarray, "step control tangent"]:
+    """Time-varying LQR gains that keep a simulation on the trajectory."""
+    count, n, m = b.shape
+    gains, value = np.zeros((count, m, n)), np.diag(state_cost)
+    for k in reversed(range(count)):
+        pull = b[k].T @ value
+        gains[k] = np.linalg.solve(np.diag(control_cost) + pull @ b[k], pull @ a[k])
+        value = np.diag(state_cost) + a[k].T @ value @ (a[k] - b[k] @ gains[k])
+    return gains
+
+
+def equilibrium_control(
+    simulator: Simulator, state: Float[np.ndarray, " state"]
+) -> Float[np.ndarray, " control"]:
+    """The control within bounds under which a state stays where it is as nearly as can be (Gauss-Newton)."""
+    low, high = simulator.control_low, simulator.control_high
+    control = np.clip(np.zeros(len(low)), low, high)
+    for _ in range(EQUILIBRIUM_ITERATIONS):
+        _, b = along(simulator, state[None], control[None])
+        moved = simulator.space.difference(_step_all(simulator, state[None], control[None], 1)[0], state)
+        change = np.linalg.lstsq(b[0], -moved, rcond=1e-9)[0]
+        control = np.clip(control + change, low, high)
+    return control
+
+
+def _step_all(simulator: Simulator, starts: np.ndarray, controls: np.ndarray, num_steps: int) -> np.ndarray:
+    """One control from each start, in as many goes as the simulator needs."""
+    ends = np.empty_like(starts)
+    for first in range(0, len(starts), simulator.num):
+        part = slice(first, min(first + simulator.num, len(starts)))
+        ids = np.arange(part.stop - first, dtype=np.int32)
+        simulator.reset(starts[part], ids)
+        simulator.step(controls[part], num_steps, ids=ids)
+        ends[part] = simulator.states()[: len(ids)]
+    return ends

@@ -1,0 +1,110 @@
+"""The last stretch of a plan, and whether its goal can be held: a linear quadratic regulator (LQR).
+
+A sampling planner comes near a goal, hardly ever onto it. The regulator takes over from the first state it
+can stabilise; whether it can is found by simulating, not by theory.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float, Int
+
+from planspace.physics.simulate import Simulator
+from planspace.plan import linearise
+from planspace.plan.problem import Goal
+
+DISCOUNTS = (1.0, 0.995)
+"""A direction that neither matters nor can be controlled (a rod's turn about itself) has no finite cost; it
+has a discounted one."""
+
+
+@dataclass(frozen=True)
+class RegulatorConfig:
+    """Settings of the regulator."""
+
+    control_cost: float = 0.001
+    """Cost of the largest control, held one step, beside the feature-weighted state cost; small is brisk."""
+    velocity_cost: float = 0.1
+    """Velocities cost this share of what their feature weights say; small lets the tail hurry."""
+    max_steps: int = 75
+    """The regulator has this many physics steps to arrive."""
+    hold_steps: int = 50
+    """A goal that is to be held must still be reached this many physics steps after arriving."""
+
+
+class Regulator:
+    """An LQR about the middle of one goal, with the controls clipped to their bounds."""
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        goal: Goal,
+        weights: Float[np.ndarray, " tangent"],
+        config: RegulatorConfig,
+    ):
+        """Finds the control that holds the goal, linearises there and solves the Riccati equation.
+
+        Args:
+            simulator: its states are overwritten.
+            goal: the goal.
+            weights: how much each number of a tangent counts.
+            config: the other settings.
+        """
+        self.goal, self.config = goal, config
+        self._space = space = simulator.space
+        self._low, self._high = simulator.control_low, simulator.control_high
+        self.hold_control = linearise.equilibrium_control(simulator, goal.center)
+        a, b = linearise.along(simulator, goal.center[None], self.hold_control[None])
+        effort = np.diag(config.control_cost / (0.5 * (self._high - self._low)) ** 2)
+        cost = np.asarray(weights, dtype=float) ** 2
+        cost[space.num_dofs :] *= config.velocity_cost
+        cost *= goal.weights > 0
+        self.value, self.gain = np.diag(cost), np.zeros((len(effort), len(cost)))
+        for discount in DISCOUNTS:  # what cannot be stabilised at all is ordered by distance, and not steered
+            try:
+                self.value = scipy.linalg.solve_discrete_are(discount * a[0], b[0], np.diag(cost), effort)
+            except np.linalg.LinAlgError:
+                continue
+            pull = b[0].T @ self.value
+            self.gain = np.linalg.solve(effort + pull @ b[0], pull @ a[0])
+            break
+
+    def control(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch control"]:
+        """The regulator's control in each state."""
+        off = self._space.difference(states, self.goal.center)
+        return np.clip(self.hold_control - off @ self.gain.T, self._low, self._high)
+
+    def cost_to_go(self, states: Float[np.ndarray, "batch state"]) -> Float[np.ndarray, " batch"]:
+        """The linear model's cost from each state; orders candidates, promises nothing."""
+        off = self._space.difference(states, self.goal.center)
+        return np.einsum("bi,ij,bj->b", off, self.value, off)
+
+    def finish(
+        self, simulator: Simulator, starts: Float[np.ndarray, "batch state"]
+    ) -> tuple[
+        Float[np.ndarray, "batch step control"], Int[np.ndarray, " batch"], Bool[np.ndarray, " batch"]
+    ]:
+        """Simulates the regulator from each state.
+
+        Returns:
+            The controls it applied, how many of them until the goal region was entered or it gave up, and
+            whether it was entered with every state on the way allowed.
+        """
+        count = len(starts)
+        ids = np.arange(count, dtype=np.int32)
+        simulator.reset(starts, ids)
+        controls = np.zeros((count, self.config.max_steps, len(self._low)))
+        steps = np.zeros(count, dtype=int)
+        arrived = self.goal.reached(starts)
+        moving = ~arrived
+        for step in range(self.config.max_steps):
+            if not moving.any():
+                break
+            running = ids[moving]
+            controls[running, step] = self.control(simulator.states()[running])
+            simulator.step(controls[running, step], ids=running)
+            steps[running] = step + 1
+            arrived[running] = self.goal.reached(simulator.states()[running])
+            moving[running] = ~arrived[running] & simulator.allowed(count)[running]
+        return controls, steps, arrived & simulator.allowed(count) & ~simulator.diverged()[:count]

@@ -1,0 +1,129 @@
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.recording import recorded
+from planspace.demos.render import FilmConfig, render_demos
+from planspace.doctor import rendering_backend
+from planspace.errors import PlanspaceError, UsageError
+from planspace.plan.generate import state_info
+from planspace.plan.problem import load_problem
+
+# ffmpeg is started by a fork, before which JAX, imported by other tests, warns
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork\\(\\) was called:RuntimeWarning")
+
+
+SMALL = FilmConfig(episodes=2, fps=20, width=64, height=48)
+
+
+@pytest.fixture(scope="module")
+def opengl() -> str:
+    """A backend that draws here."""
+    backend = rendering_backend()
+    if backend is None:
+        pytest.skip("no OpenGL backend works here")
+    return backend
+
+
+def moving_cart(info: StateInfo | None = None) -> Demos:
+    """A cart with its pole up: one second from left to right, then half a second back."""
+    states = np.zeros((51, 4))
+    states[:, 0] = np.linspace(-0.8, 0.8, 51)
+    there = recorded(states, np.zeros((50, 1)), np.arange(51) * 0.02, 0)
+    back = recorded(states[::-2], np.zeros((25, 1)), np.arange(26) * 0.02, 1)
+    return Demos.from_episodes(info or state_info(load_problem("cartpole-swingup")), [there, back])
+
+
+def blue_column(picture: np.ndarray) -> float:
+    """Where the blue cart is, from 0 at the left edge to 1 at the right."""
+    r, g, b = (picture[..., i].astype(int) for i in range(3))
+    columns = np.nonzero((b - r > 40) & (b - g > 20))[1]
+    assert len(columns)
+    return columns.mean() / picture.shape[1]
+
+
+def test_a_gif_plays_the_states_in_real_time(opengl: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    render_demos(moving_cart(), tmp_path / "film.gif", SMALL)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.size == (64, 48)
+        places, durations = [], []
+        for i in range(film.n_frames):
+            film.seek(i)
+            places.append(blue_column(np.asarray(film.convert("RGB"))))
+            durations.append(film.info["duration"])
+    # 20 pictures a second: 21 of the first second with its end, 11 of the half second
+    assert sum(durations) == (21 + 11) * 50
+    assert places[0] < 0.35 and places[20] > 0.65 and places[-1] < 0.35
+    assert (np.diff(places[:21]) >= 0).all()  # it moves, and in the right direction
+
+
+def test_pictures_stand_upright(opengl: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    render_demos(moving_cart(), tmp_path / "film.gif", replace(SMALL, episodes=1))
+    with Image.open(tmp_path / "film.gif") as film:
+        picture = np.asarray(film.convert("RGB")).astype(int)
+    orange = np.nonzero(picture[..., 0] - picture[..., 2] > 60)[0]
+    blue = np.nonzero(picture[..., 2] - picture[..., 0] > 40)[0]
+    assert orange.mean() < blue.mean()  # rows are counted from above: the pole is up
+
+
+def test_an_mp4(opengl: str, tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    render_demos(moving_cart(), tmp_path / "film.mp4", SMALL)
+    frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert frames == 21 + 11
+    assert seconds == pytest.approx(1.6, abs=0.06)
+
+
+def test_a_model_without_a_camera_is_seen_from_a_free_one(opengl: str, tmp_path: Path) -> None:
+    info = state_info(load_problem("cartpole-swingup"))
+    lines = [line for line in info.mjcf.splitlines() if "<camera" not in line]
+    info = replace(info, mjcf="\n".join(lines))
+    render_demos(moving_cart(info), tmp_path / "film.gif", replace(SMALL, episodes=1, fps=2))
+    assert (tmp_path / "film.gif").stat().st_size > 0
+    with pytest.raises(UsageError, match="the model has no camera; omit --camera"):
+        render_demos(moving_cart(info), tmp_path / "no.gif", replace(SMALL, camera="side"))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("film.avi", {}, "is no film; --out takes FILE.gif or FILE.mp4"),
+        ("film.mp4", {"width": 63}, "needs an even width and height, got 63 x 48"),
+        ("film.gif", {"camera": "sied"}, "unknown camera 'sied'. Did you mean 'side'"),
+        ("film.gif", {"fps": 0}, "must be at least 1"),
+        ("film.gif", {"fps": 101}, "can be at most 100"),
+    ],
+)
+def test_wrong_wishes_are_refused(file: str, change: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=message):
+        render_demos(moving_cart(), tmp_path / file, replace(SMALL, **change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dataset_without_a_model_cannot_be_filmed(tmp_path: Path) -> None:
+    bare = StateInfo(("a", "b", "c", "d"), ("",) * 4, (), 1)
+    with pytest.raises(PlanspaceError, match="the dataset has no model; import it with --problem"):
+        render_demos(moving_cart(bare), tmp_path / "film.gif", SMALL)
+
+
+def test_where_nothing_draws_the_error_says_what_to_do(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    with pytest.raises(
+        PlanspaceError, match=r"no OpenGL backend works here; unset MUJOCO_GL.*libosmesa|OSMesa"
+    ):
+        render_demos(moving_cart(), tmp_path / "film.gif", SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(PlanspaceError, match=r"pip install 'planspace\[video\]'"):
+        render_demos(moving_cart(), tmp_path / "film.mp4", SMALL)

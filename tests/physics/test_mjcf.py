@@ -1,0 +1,64 @@
+from pathlib import Path
+
+import pytest
+
+from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.mjcf import read_model
+from planspace.physics.simulate import load_model
+
+TWO_JOINTS = """<mujoco><worldbody>
+  <body><joint name="a" type="hinge"/><geom name="ga" size="0.1"/>
+    <body pos="0 0 1"><joint name="b" type="hinge"/><geom name="gb" size="0.1"/></body></body>
+</worldbody>
+<actuator><motor name="ma" joint="a"/><motor name="mb" joint="b"/></actuator>
+<sensor><jointpos name="sb" joint="b"/></sensor></mujoco>"""
+
+
+def write(folder: Path, text: str, name: str = "model.xml") -> Path:
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_a_model_of_one_file_is_read_as_it_stands(tmp_path: Path) -> None:
+    assert read_model(write(tmp_path, TWO_JOINTS), ("a", "b")) == TWO_JOINTS
+    assert read_model(write(tmp_path, TWO_JOINTS)) == TWO_JOINTS
+
+
+def test_the_other_joints_are_held(tmp_path: Path) -> None:
+    model = load_model(read_model(write(tmp_path, TWO_JOINTS), ("a",)))
+    assert (model.nq, model.nu, model.nsensor, model.nbody) == (1, 1, 0, 3)  # b's body is still there
+    assert model.joint(0).name == "a"
+
+
+def test_includes_are_merged(tmp_path: Path) -> None:
+    write(tmp_path, '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/></worldbody></mujoco>',
+          "parts/floor.xml")  # fmt: skip
+    text = TWO_JOINTS.replace("<mujoco>", '<mujoco><include file="parts/floor.xml"/>')
+    merged = read_model(write(tmp_path, text))
+    assert "include" not in merged
+    assert load_model(merged).ngeom == 3
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ('<include file="../secret.xml"/>', "'../secret.xml', outside its folder"),
+        ('<include file="/etc/passwd"/>', "'/etc/passwd', outside its folder"),
+        ('<include file="file:///etc/passwd"/>', "outside its folder"),
+        ('<include file="model.xml"/>', "includes 'model.xml' twice, or in a circle"),
+        ('<include file="nowhere.xml"/>', "cannot read .*nowhere.xml"),
+        ('<asset><mesh file="a.stl"/></asset>', "a mesh in a file is not supported"),
+        ("<nonsense/>", "does not compile: .*nonsense.*line 1"),
+        ("<worldbody>", "is not well-formed XML: mismatched tag"),
+    ],
+)
+def test_what_a_model_may_not_do(inside: str, message: str, tmp_path: Path) -> None:
+    write(tmp_path, "<mujoco/>", "secret.xml")
+    with pytest.raises(PlanspaceError, match=message):
+        read_model(write(tmp_path / "models", f"<mujoco>{inside}</mujoco>"))
+
+
+def test_an_unknown_joint_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="unknown joint 'aa'. Did you mean 'a'"):
+        read_model(write(tmp_path, TWO_JOINTS), ("aa",))
