@@ -1,5 +1,7 @@
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
@@ -48,7 +50,10 @@ def test_includes_are_merged(tmp_path: Path) -> None:
         ('<include file="file:///etc/passwd"/>', "outside its folder"),
         ('<include file="model.xml"/>', "includes 'model.xml' twice, or in a circle"),
         ('<include file="nowhere.xml"/>', "cannot read .*nowhere.xml"),
-        ('<asset><mesh file="a.stl"/></asset>', "a mesh in a file is not supported"),
+        ('<asset><mesh file="../a.stl"/></asset>', "'../a.stl', outside its folder"),
+        ('<compiler meshdir="../"/><asset><mesh file="a.stl"/></asset>', "'a.stl', outside its folder"),
+        ('<asset><mesh file="a.stl"/></asset>', "does not compile: .*a.stl"),
+        ('<asset><hfield file="a.png"/></asset>', "cannot hold a hfield in a file"),
         ("<nonsense/>", "does not compile: .*nonsense.*line 1"),
         ("<worldbody>", "is not well-formed XML: mismatched tag"),
     ],
@@ -62,3 +67,25 @@ def test_what_a_model_may_not_do(inside: str, message: str, tmp_path: Path) -> N
 def test_an_unknown_joint_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="unknown joint 'aa'. Did you mean 'a'"):
         read_model(write(tmp_path, TWO_JOINTS), ("aa",))
+
+
+TETRAHEDRON = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.5\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+WITH_MESH = """<mujoco><compiler meshdir="parts"/>
+<asset><mesh name="m" file="m.obj" scale="1 2 1"/><texture name="t" type="2d" file="parts/t.png"/>
+  <material name="skin" texture="t"/></asset>
+<worldbody><body><joint name="h" axis="0 1 0"/>
+  <geom type="mesh" mesh="m" material="skin" pos="0.1 0 0" euler="10 20 30"/></body></worldbody></mujoco>"""
+
+
+def test_meshes_become_text_and_pictures_plain_colour(tmp_path: Path) -> None:
+    import matplotlib.image
+
+    path = write(tmp_path, WITH_MESH)
+    write(tmp_path, TETRAHEDRON, "parts/m.obj")
+    matplotlib.image.imsave(tmp_path / "parts" / "t.png", np.zeros((4, 4, 3)))
+    text = read_model(path, ("h",))
+    assert "m.obj" not in text and "t.png" not in text
+    model = load_model(text)  # from the text alone
+    original = mujoco.MjModel.from_xml_path(str(path))
+    for field in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat"):
+        np.testing.assert_allclose(getattr(model, field), getattr(original, field), rtol=1e-5, atol=1e-6)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulate import Simulator
+from planspace.plan import sst
 from planspace.plan.problem import Problem, load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import IDLE_COST, SST, Search, SSTConfig, _Tree, step_cost
@@ -117,7 +118,10 @@ def test_costs_are_the_sum_of_durations_to_the_root(rng: np.random.Generator) ->
         assert 0.02 * len(tree.path(int(node))) == pytest.approx(tree.costs[node])
 
 
-def test_neighbours_agree_with_a_full_search_however_the_index_is_split(rng: np.random.Generator) -> None:
+def test_neighbours_agree_with_a_full_search_however_the_index_is_split(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sst, "NEIGHBOUR_SLACK", 0.0)
     tree = make_tree(rng, 5)
     for _ in range(4):
         targets = rng.uniform(-1, 1, (32, tree.features.shape[1]))

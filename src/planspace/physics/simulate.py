@@ -118,6 +118,7 @@ class Simulator:
         if model.na and not space.kinematic:
             raise UsageError("the model's actuators have activations, a state that is not planned for.")
         self.model, self.space, self.num, self.validity = model, space, num, validity
+        self.threads = threads
         self._batch = Batch(model, num, threads)
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,7 @@ from planspace.errors import PartialResult, UsageError, unknown
 from planspace.physics.angles import unwrap_to_end
 from planspace.physics.simulate import Simulator, advance
 from planspace.physics.space import StateSpace
+from planspace.plan.clearance import Clearance
 from planspace.plan.ompl import OMPL_PLANNERS, OMPLConfig, check_ompl, plan_in_process
 from planspace.plan.polish import Polish, PolishConfig, Trajectory
 from planspace.plan.problem import Goal, Problem
@@ -232,6 +234,8 @@ class Planner:
             validity=problem.validity,
         )
         self.weights = problem.weights(self.space)
+        watched = problem.forbidden_contacts != "none"
+        self.clearance = Clearance(problem, self.space, threads=threads) if watched else None
 
     def plan(self, seed: int, index: int) -> Episode | Failure:
         """Plans one demonstration, from another start after a failure, and verifies it in plain MuJoCo."""
@@ -291,7 +295,9 @@ class Planner:
         guess = search.controls
         for landing in LANDINGS if self.config.polish.max_iterations else ():
             config = replace(self.config.polish, landing=landing * self.config.polish.landing)
-            polish = Polish(self.simulator, goal, self.weights, config, effort=effort)
+            polish = Polish(
+                self.simulator, goal, self.weights, config, clearance=self.clearance, effort=effort
+            )
             controls = polish.run(start, guess)
             if controls is None:
                 break
@@ -387,7 +393,10 @@ def _plan_all(
             yield plan_one(problem, config, seed, i)
         return
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt) as pool:
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt) as pool,
+    ):
         futures = [pool.submit(plan_one, problem, config, seed, i) for i in indices]
         try:
             for future in futures:
@@ -395,6 +404,22 @@ def _plan_all(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started meanwhile do linear algebra on one thread: there are as many of them as cores."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _ignore_interrupt() -> None:

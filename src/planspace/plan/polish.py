@@ -22,6 +22,7 @@ from scipy.optimize import linprog
 
 from planspace.physics.simulate import Simulator
 from planspace.plan import linearise
+from planspace.plan.clearance import Clearance
 from planspace.plan.problem import Goal
 
 SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.02, 0.005])
@@ -30,10 +31,22 @@ SHORTEST = 0.7
 """A horizon is shortened to no less than this share at once."""
 LIMIT_MARGIN = 1e-3
 """Keeps this far from joint limits [m or rad], where the plan itself does."""
+CLEARANCE = 5e-3
+"""Keeps this far from what must not be touched [m], where the plan itself does."""
 EFFORT_PENALTY = 1e3
 """What a unit of distance to the goal costs when the effort is minimised."""
 MAX_CUTS = 5
 """A program is solved again with the limits its solution crosses, at most so many times."""
+RADII = (0.03, 0.1, 0.3, 1.0)
+"""Shares of the trust region in which a program is tried, the smallest first."""
+GENTLE = 0.25
+"""It has reached the goal when it promises to come within this share of the tolerance."""
+WIDER = 4.0
+"""The trust region becomes so much wider after a change that was right as a whole."""
+LEAST_TRUST = 0.3
+"""The trust region becomes at most so much smaller at once ..."""
+SMALLEST_RADIUS = 1e-3
+"""... and never smaller than this share of a control's range."""
 PATIENCE = 4
 """An aim is given up after so many changes that brought little (one that brought nothing counts twice)."""
 
@@ -60,10 +73,12 @@ class Trajectory(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """A trajectory's linear model: gains and sensitivities."""
+    """A trajectory's linear model: gains, sensitivities, and how far apart things are along it."""
 
     gains: Float[np.ndarray, "step control tangent"]
     answers: Float[np.ndarray, "time tangent variable"]
+    distances: Float[np.ndarray, "time pair"]
+    slopes: Float[np.ndarray, "time pair dof"]
 
 
 class Polish:
@@ -76,6 +91,7 @@ class Polish:
         weights: Float[np.ndarray, " tangent"],
         config: PolishConfig,
         *,
+        clearance: Clearance | None = None,
         effort: bool = False,
     ):
         """Prepares it.
@@ -85,16 +101,16 @@ class Polish:
             goal: where plans are to end.
             weights: how much each number of a tangent counts in the feedback.
             config: the other settings.
+            clearance: measures what must not touch; without it, contacts are only checked.
             effort: minimise the controls' effort at the plan's duration, instead of the duration.
         """
         self.simulator, self.goal, self.config, self.effort = simulator, goal, config, effort
-        self.space = simulator.space
+        self.space, self.clearance = simulator.space, clearance
         self._low, self._high = simulator.control_low, simulator.control_high
         self._state_cost = np.asarray(weights, dtype=float) ** 2
         self._control_cost = config.tracking_cost / (0.5 * (self._high - self._low)) ** 2
-        self._widest = float((self._high - self._low).max())
         self._stride, self._left = 1, 0
-        self._radius = self._widest
+        self._radius = 1.0  # of the trust region, as a share of each control's range
 
     def run(
         self, start: Float[np.ndarray, " state"], controls: Float[np.ndarray, "step control"]
@@ -111,7 +127,7 @@ class Polish:
         if len(controls) == 0:
             return None
         self._stride = -(-len(controls) // self.config.max_blocks)
-        self._left, self._radius = self.config.max_iterations, self._widest
+        self._left, self._radius = self.config.max_iterations, 1.0
         blocks = np.array_split(controls, np.arange(self._stride, len(controls), self._stride))
         guess = np.stack([block.mean(axis=0) for block in blocks])
         best = self._land(self._follow(start, controls, guess))
@@ -132,7 +148,7 @@ class Polish:
             horizon = self._reachable(best)
             shorter = self._aim(best, horizon)
             while shorter is None and horizon < length - 1:
-                horizon, self._radius = max(horizon + 1, (horizon + length) // 2), self._widest
+                horizon, self._radius = max(horizon + 1, (horizon + length) // 2), 1.0
                 shorter = self._aim(best, min(horizon, length - 1))
             if shorter is None:
                 return best
@@ -144,13 +160,13 @@ class Polish:
         misses = 0
         while self._left > 0 and misses < PATIENCE:
             lighter = self._change(best, len(best.controls), self._model(best), effort=True)
-            valid = [] if lighter is None else [self._cut(plan) for plan in lighter]
+            valid = [self._cut(plan) for _, plan in lighter]
             valid = [plan for plan in valid if plan is not None and self._spent(plan) < self._spent(best)]
             if valid:
                 best, misses = min(valid, key=self._spent), 0
             else:
                 misses += 1
-                self._radius *= 0.3
+                self._trust(0.0)
         return best
 
     def _spent(self, plan: Trajectory) -> float:
@@ -175,21 +191,27 @@ class Polish:
         before = float(self.goal.distance(plan.states[horizon]))
         while self._left > 0 and stalled < PATIENCE:
             tried = self._change(plan, horizon, model, effort=False)
-            landed = [self._cut(each) for each in tried or []]
-            landed = [each for each in landed if each is not None]
-            if landed:
-                return min(landed, key=lambda each: len(each.controls))
-            ends = [float(self.goal.distance(each.states[-1])) for each in tried or []]
+            landed = [(share, self._cut(each)) for share, each in tried]
+            found = [(len(each.controls), share, each) for share, each in landed if each is not None]
+            if found:
+                _, share, shorter = min(found, key=lambda each: each[0])
+                self._trust(share)
+                return shorter
+            ends = [float(self.goal.distance(each.states[-1])) for _, each in tried]
             if ends and min(ends) < before - 1e-3:
-                share = int(np.argmin(ends))
+                share, plan = tried[int(np.argmin(ends))]
                 stalled = stalled + 1 if min(ends) > 0.9 * before else 0
-                plan, before = (tried or [])[share], min(ends)
-                model = self._model(plan)
-                self._radius = min(2.0 * self._radius, self._widest) if share == 0 else 0.6 * self._radius
+                before, model = min(ends), self._model(plan)
+                self._trust(share)
             else:
                 stalled += 2
-                self._radius *= 0.3
+                self._trust(0.0)
         return None
+
+    def _trust(self, share: float) -> None:
+        """Widens the trust region after a change that was right as a whole, else narrows it."""
+        factor = WIDER if share == 1.0 else max(share, LEAST_TRUST)
+        self._radius = float(np.clip(factor * self._radius, SMALLEST_RADIUS, 1.0))
 
     def _cut(self, plan: Trajectory) -> Trajectory | None:
         """The plan up to where it first enters the goal region, if it does."""
@@ -203,22 +225,43 @@ class Polish:
 
     def _change(
         self, plan: Trajectory, horizon: int, model: _Model, *, effort: bool
-    ) -> list[Trajectory] | None:
+    ) -> list[tuple[float, Trajectory]]:
         """The allowed ones of the trajectories that shares of the program's change lead to."""
         self._left -= 1
-        found = self._program(plan, model, horizon, effort=effort)
+        found = self._gentlest(plan, model, horizon, effort=effort)
         if found is None:
-            return None
+            return []
         change = found[0]
         promised = np.einsum("kij,j->ki", model.answers[: horizon + 1, :, : change.size], change.ravel())
         states, controls, allowed = self._closed_loop(plan, model.gains, change, promised)
         kept = np.flatnonzero(allowed)
-        return [Trajectory(states[i], controls[i]) for i in kept]
+        return [(float(SHARES[i]), Trajectory(states[i], controls[i])) for i in kept]
+
+    def _gentlest(
+        self, plan: Trajectory, model: _Model, horizon: int, *, effort: bool
+    ) -> tuple[np.ndarray, float] | None:
+        """The program in the smallest trust region in which it reaches the goal.
+
+        A linear program that can reach it in many ways picks a corner, with every control at the edge of its
+        region: the smaller that is, the better the linear model holds.
+        """
+        widest, found = self._radius, None
+        for share in (1.0,) if effort else RADII:
+            self._radius = share * widest
+            found = self._program(plan, model, horizon, effort=effort) or found
+            if found is not None and found[1] <= GENTLE * self.goal.tolerance:
+                break
+        return found
 
     def _model(self, plan: Trajectory) -> _Model:
         a, b = linearise.along(self.simulator, plan.states[:-1], plan.controls, self._stride)
         gains = linearise.tracking_gains(a, b, self._state_cost, self._control_cost)
-        return _Model(gains, linearise.sensitivities(a, b))
+        if self.clearance is None:
+            none = np.empty((len(plan.states), 0))
+            return _Model(gains, linearise.sensitivities(a, b), none, none[..., None])
+        distances = self.clearance.distances(plan.states)
+        slopes = self.clearance.slopes(plan.states, distances)
+        return _Model(gains, linearise.sensitivities(a, b), distances, slopes)
 
     def _program(
         self, plan: Trajectory, model: _Model, horizon: int, *, effort: bool
@@ -231,8 +274,9 @@ class Polish:
         # the slack of each number is how far it lies outside the goal's box, on either side
         rows = [np.hstack([end, -np.eye(n)]), np.hstack([-end, -np.eye(n)])]
         room = [self.goal.half - off, self.goal.half + off]
-        low = np.maximum(self._low - controls, -self._radius).ravel()
-        high = np.minimum(self._high - controls, self._radius).ravel()
+        reach = self._radius * (self._high - self._low)
+        low = np.maximum(self._low - controls, -reach).ravel()
+        high = np.minimum(self._high - controls, reach).ravel()
         weights, bounds = self.goal.weights, np.column_stack([low, high])
         bounds = np.concatenate([bounds, np.tile([0.0, np.inf], (n, 1))])
         cost = np.concatenate([np.zeros(size), weights])
@@ -266,7 +310,7 @@ class Polish:
     def _crossed_limits(
         self, plan: Trajectory, model: _Model, change: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rows for the position limits that a change would cross: few, so they are added when needed."""
+        """Rows for the limits and clearances a change would cross: few, so they are added when needed."""
         horizon = change.size // plan.controls.shape[1]
         rows, room = [np.empty((0, change.size))], [np.empty(0)]
         for s, t in self.space.bounded:
@@ -278,6 +322,12 @@ class Polish:
                 crossed = np.flatnonzero(sign * moved > allowed + 0.1 * LIMIT_MARGIN)
                 rows.append(sign * answer[crossed])
                 room.append(allowed[crossed])
+        positions = model.answers[: horizon + 1, : self.space.num_dofs, : change.size]
+        gained = np.einsum("kpd,kd->kp", model.slopes[: horizon + 1], positions @ change)
+        allowed = np.maximum(model.distances[: horizon + 1] - CLEARANCE, 0.0)
+        for k, pair in np.argwhere(-gained > allowed + 0.1 * CLEARANCE):
+            rows.append(-(model.slopes[k, pair] @ positions[k])[None])
+            room.append(allowed[k, pair][None])
         return np.concatenate(rows), np.concatenate(room)
 
     def _closed_loop(

@@ -23,6 +23,9 @@ from planspace.plan.regulator import Regulator
 
 NEIGHBOURS = 8
 """Best-near selection looks at this many neighbours."""
+NEIGHBOUR_SLACK = 2.0
+"""A neighbour found is at most 1 + this times as far as the true one. With 2, the nearest is 1 % too far on
+average, and in 14 dimensions the search takes 4 ms in place of 100 (512 targets among 23,000 nodes)."""
 IDLE_COST = 0.1
 """Effort counts a second of rest like a tenth of a second at full control, so that plans end."""
 
@@ -53,8 +56,10 @@ class SSTConfig:
     """The two radii are multiplied by this ..."""
     shrink_every: int = 60
     """... every so many rounds."""
-    tail_candidates: int = 8
-    """New nodes a round from which the regulator tries to reach the goal."""
+    tail_every: int = 4
+    """Every so many rounds the regulator tries to reach the goal ..."""
+    tail_candidates: int = 32
+    """... from so many of the new nodes, the most promising."""
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
@@ -79,7 +84,7 @@ class Search:
     nodes: int
     """Nodes in the tree."""
     simulated_steps: int
-    """Physics steps taken to extend it."""
+    """Physics steps taken, to extend the tree and in the regulator's tries."""
     note: str = ""
     """What went wrong, if something did."""
 
@@ -129,7 +134,8 @@ class SST:
         tree = _Tree(start, self, c.witness_size)
         radius, steps = c.selection_radius, 0
         finish = _Finish(self, tree)
-        finish.consider(np.array([0]))
+        new = [np.array([0])]
+        finish.consider(new.pop())
         for round_index in range(c.max_rounds if not c.seconds else 1 << 30):
             if c.seconds:
                 if time.monotonic() - began > c.seconds:
@@ -143,8 +149,13 @@ class SST:
             controls, durations = self._draw_edges()
             ends, valid = self.simulator.propagate(tree.states[parents], controls, durations)
             steps += int(durations.sum())
-            finish.consider(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
+            new.append(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
+            if (round_index + 1) % c.tail_every == 0:
+                finish.consider(np.concatenate(new))
+                new = []
+        finish.consider(np.concatenate([np.empty(0, dtype=int), *new]))
         nearest = float(self.goal.distance(tree.states).min())
+        steps += finish.simulated_steps
         return Search(finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps)
 
     def _targets(self) -> Float[np.ndarray, "extension feature"]:
@@ -169,7 +180,7 @@ class _Finish:
 
     def __init__(self, query: SST, tree: "_Tree"):
         self.query, self.tree = query, tree
-        self.arrived, self.cost = False, np.inf
+        self.arrived, self.cost, self.simulated_steps = False, np.inf, 0
         self._promise = np.inf  # of the node to fall back on: the regulator's own estimate
         self._node, self._tail = 0, np.empty((0, len(query.simulator.control_low)))
 
@@ -183,6 +194,7 @@ class _Finish:
         promise = query.regulator.cost_to_go(tree.states[new])
         order = np.argsort(promise, kind="stable")[: query.config.tail_candidates]
         tails, steps, arrived = query.regulator.finish(query.simulator, tree.states[new[order]])
+        self.simulated_steps += int(steps.sum())
         if not self.arrived and promise[order[0]] < self._promise:
             self._promise = promise[order[0]]
             self._node, self._tail = int(new[order[0]]), tails[0, : steps[0]]
@@ -298,16 +310,16 @@ class _Tree:
         size = len(self.features)
         if self._old is None or size > 1.5 * self._indexed:
             self._old, self._indexed = cKDTree(self.features), size
-        distances, nodes = self._query(self._old, targets, 0)
+        distances, nodes = self._ask(self._old, targets, 0)
         if size > self._indexed:
-            late = self._query(cKDTree(self.features[self._indexed :]), targets, self._indexed)
+            late = self._ask(cKDTree(self.features[self._indexed :]), targets, self._indexed)
             distances, nodes = _nearest(distances, nodes, *late)
         return distances, nodes
 
-    @staticmethod
-    def _query(index: cKDTree, targets: np.ndarray, offset: int) -> tuple[np.ndarray, np.ndarray]:
+    def _ask(self, index: cKDTree, targets: np.ndarray, offset: int) -> tuple[np.ndarray, np.ndarray]:
         k = min(NEIGHBOURS, index.n)
-        distances, nodes = index.query(targets, k=k)
+        threads = self.query.simulator.threads or -1  # as many as the physics
+        distances, nodes = index.query(targets, k=k, eps=NEIGHBOUR_SLACK, workers=threads)
         shape = (len(targets), k)
         return distances.reshape(shape), nodes.reshape(shape) + offset
 

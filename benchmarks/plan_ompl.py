@@ -1,0 +1,87 @@
+"""Our planner and OMPL's, side by side: same problems, starts, tolerance, cores and seconds a plan.
+
+    python benchmarks/plan_ompl.py [--seconds S] [--starts N] [PROBLEM ...]          (extra `ompl`)
+
+Every planner gets the same N starts, one process a core, at most S seconds for each. Our SST* runs twice: as
+`planspace plan` uses it (it stops by itself, having polished two plans), and alone, without polish, for the
+whole S seconds, as OMPL's SST does. OMPL's planners keep what they find, as it is. A plan counts as solved if
+its controls, replayed in plain MuJoCo from the start, lead into the goal region; that the goal can be held is
+not asked of anyone here. OMPL propagates through Python callbacks, a step of which costs about 30
+microseconds; that is how a user of its Python bindings meets it.
+"""
+
+import argparse
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+
+from planspace.plan.generate import Failure, Planner, PlannerConfig
+from planspace.plan.problem import load_problem
+from planspace.progress import progress
+
+PLANNERS = ("sst", "sst alone", "ompl-sst", "ompl-rrt", "ompl-kpiece1")
+
+
+def attempt(name: str, planner: str, seconds: float, index: int) -> tuple[float, float, float]:
+    """Wall time, duration of the plan (NaN: not solved), nearest distance of a failure."""
+    problem = replace(load_problem(name), hold=False)
+    if planner == "sst":
+        config = PlannerConfig.for_problem(problem)
+    elif planner == "sst alone":
+        changes = {"restarts": 1, "polish_max_iterations": 0, "sst_seconds": seconds}
+        config = PlannerConfig.for_problem(problem, **changes)
+    else:
+        changes = {"planner": planner, "polish_max_iterations": 0, "ompl_seconds": seconds}
+        config = PlannerConfig.for_problem(problem, **changes)
+    worker = Planner(problem, config)
+    rng = np.random.default_rng([0, index])
+    start, goal = problem.draw_start(worker.simulator, rng), problem.draw_goal(worker.space, rng)
+    began = time.perf_counter()
+    found = worker.connect(start, goal, rng)
+    spent = time.perf_counter() - began
+    if isinstance(found, Failure):
+        return spent, np.nan, found.nearest
+    return spent, len(found.controls) * worker.model.opt.timestep, 0.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("problems", nargs="*", default=["cartpole-swingup", "reacher", "pendulum"])
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S")
+    parser.add_argument("--starts", type=int, default=20, metavar="N")
+    options = parser.parse_args()
+    cores = os.cpu_count() or 1
+    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})
+    rows = []
+    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+        for name in options.problems:
+            for planner in PLANNERS:
+                starts = range(options.starts)
+                calls = [pool.submit(attempt, name, planner, options.seconds, i) for i in starts]
+                with progress(f"{name} {planner}", len(calls), unit="plan") as bar:
+                    outcome = []
+                    for call in calls:
+                        outcome.append(call.result())
+                        bar.update()
+                spent, duration, near = np.array(outcome).T
+                solved = np.isfinite(duration)
+                minutes = spent.sum() / 60 / cores
+                cost = f"{np.median(duration[solved]):.2f}" if solved.any() else "none solved"
+                missed = f"{np.median(near[~solved]):.2f}" if not solved.all() else ""
+                rows.append(
+                    f"| {name} | {planner} | {solved.mean():.0%} | {solved.sum() / minutes:.1f} | {cost} "
+                    f"| {missed} | {np.median(spent):.1f} |"
+                )
+                print(rows[-1], flush=True)
+    print("| problem | planner | solved | solved a minute | duration s | nearest of a failure | s a plan |")
+    print("|---|---|---|---|---|---|---|\n" + "\n".join(rows))
+
+
+if __name__ == "__main__":
+    main()

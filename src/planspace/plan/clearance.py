@@ -1,0 +1,99 @@
+"""How far apart the geoms are that must not touch, and how that changes with the positions.
+
+MuJoCo's distance sensors measure it, on a model of their own so that planning does not pay for them. Slopes
+are finite differences, taken where something is near.
+"""
+
+import itertools
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco.batch import Batch
+
+from planspace.physics.space import StateSpace
+from planspace.plan.problem import Problem
+
+REACH = 0.2
+"""Distances are measured up to this [m]; further is as far."""
+NEAR = 0.1
+"""Slopes are computed for states in which some pair is nearer than this [m]."""
+NUDGE = 1e-5
+MAX_PAIRS = 200
+"""With more pairs than this, contacts are only checked, not kept away from."""
+BATCH = 512
+
+
+class Clearance:
+    """Distances between the geoms that a problem forbids to touch."""
+
+    def __init__(self, problem: Problem, space: StateSpace, *, threads: int = 0):
+        """Builds the measuring model.
+
+        Args:
+            problem: with forbidden contacts.
+            space: its state space.
+            threads: physics threads; 0 takes all CPUs.
+        """
+        spec = mujoco.MjSpec.from_string(problem.mjcf)
+        for number, geom in enumerate(spec.geoms):
+            geom.name = geom.name or f"planspace_geom_{number}"
+        pairs = problem.validity.pairs or collidable_pairs(spec.compile())
+        self.num_pairs = len(pairs) if len(pairs) <= MAX_PAIRS else 0
+        kind, sensor = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor.mjSENS_GEOMDIST
+        for number, (a, b) in enumerate(pairs[: self.num_pairs]):
+            watch = spec.add_sensor(name=f"planspace_distance_{number}", type=sensor)
+            watch.objtype, watch.objname, watch.reftype, watch.refname, watch.cutoff = kind, a, kind, b, REACH
+        self._space = space
+        self._batch = Batch(spec.compile(), BATCH, threads)
+        self._sensors = self._batch.bind("sensordata")
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+
+    def distances(self, states: Float[np.ndarray, "step state"]) -> Float[np.ndarray, "step pair"]:
+        """The distance of every pair in each state [m], negative where they overlap, at most `REACH`."""
+        found = np.empty((len(states), self.num_pairs))
+        for first in range(0, len(states), BATCH):
+            part = states[first : first + BATCH]
+            ids = np.arange(len(part), dtype=np.int32)
+            qpos, qvel = self._qpos[: len(part)], self._qvel[: len(part)]
+            self._space.write(part, qpos, qvel)
+            self._batch.forward(ids=ids, stage=int(mujoco.mjtStage.mjSTAGE_POS))
+            found[first : first + BATCH] = self._sensors[: len(part), -self.num_pairs :]
+        return found
+
+    def slopes(
+        self, states: Float[np.ndarray, "step state"], distances: Float[np.ndarray, "step pair"]
+    ) -> Float[np.ndarray, "step pair dof"]:
+        """How each distance changes with each position [m a rad or m]; zero where nothing is near."""
+        space, n = self._space, self._space.num_dofs
+        slopes = np.zeros((*distances.shape, n))
+        near = np.flatnonzero((distances < NEAR).any(axis=1))
+        if len(near) == 0:
+            return slopes
+        nudges = np.zeros((n, space.tangent_size))
+        nudges[:, :n] = NUDGE * np.eye(n)
+        moved = space.integrate(states[near][:, None], nudges[None])
+        after = self.distances(moved.reshape(-1, space.size)).reshape(len(near), n, -1)
+        slopes[near] = ((after - distances[near][:, None]) / NUDGE).transpose(0, 2, 1)
+        return slopes
+
+
+def collidable_pairs(model: mujoco.MjModel) -> tuple[tuple[str, str], ...]:
+    """The pairs of geoms that MuJoCo would let collide: by their bits, bodies, parents and exclusions."""
+    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
+    weld, parent = model.body_weldid, model.body_parentid
+
+    def collide(a: int, b: int) -> bool:
+        first, second = weld[model.geom_bodyid[a]], weld[model.geom_bodyid[b]]
+        if first == second or (int(model.geom_bodyid[a]), int(model.geom_bodyid[b])) in excluded:
+            return False
+        in_line = weld[parent[first]] == second or weld[parent[second]] == first
+        if first and second and in_line:
+            return False
+        return bool(
+            model.geom_contype[a] & model.geom_conaffinity[b]
+            or model.geom_contype[b] & model.geom_conaffinity[a]
+        )
+
+    pairs = itertools.combinations(range(model.ngeom), 2)
+    return tuple((model.geom(a).name, model.geom(b).name) for a, b in pairs if collide(a, b))
