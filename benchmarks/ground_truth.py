@@ -17,8 +17,9 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
 from planspace.demos.dataset import load_demos
-from planspace.plan.generate import PlannerConfig, generate
-from planspace.plan.problem import load_problem
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem_file import load_problem
 from planspace.store import write_bytes
 
 FOLDER = Path(__file__).parent / "ground_truth"

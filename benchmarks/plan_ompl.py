@@ -19,8 +19,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from planspace.plan.generate import Failure, Planner, PlannerConfig
-from planspace.plan.problem import load_problem
+from planspace.plan.planner import Failure, Planner, PlannerConfig
+from planspace.plan.problem_file import load_problem
 from planspace.progress import progress
 
 PLANNERS = ("sst", "sst alone", "ompl-sst", "ompl-rrt", "ompl-kpiece1")

@@ -17,8 +17,9 @@ import numpy as np
 from ground_truth import FOLDER, pendulum_time, reacher_time
 
 from planspace.demos.dataset import Demos, load_demos
-from planspace.plan.generate import PlannerConfig, generate
-from planspace.plan.problem import load_problem
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem_file import load_problem
 
 
 def shortest(name: str, demos: Demos) -> np.ndarray:

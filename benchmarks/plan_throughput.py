@@ -13,7 +13,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Problem, load_problem
+from planspace.plan.problem import Problem
+from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
 

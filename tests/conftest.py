@@ -9,9 +9,10 @@ import pytest
 from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import PRESETS, fit
-from planspace.plan.generate import PlannerConfig, generate
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import PolishConfig
-from planspace.plan.problem import load_problem
+from planspace.plan.problem_file import load_problem
 from planspace.plan.sst import SSTConfig
 
 RELEASED = Path(__file__).parents[2] / "shared" / "data" / "released-2020"

@@ -74,8 +74,9 @@ class Plan:
 
     def __call__(self) -> None:
         """Plans and says what came of it."""
-        from planspace.plan.generate import PlannerConfig, generate
-        from planspace.plan.problem import load_problem, shipped_problems
+        from planspace.plan.generate import generate
+        from planspace.plan.planner import PlannerConfig
+        from planspace.plan.problem_file import load_problem, shipped_problems
 
         if not self.problem:
             raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
@@ -215,7 +216,7 @@ class DemosImport:
         from planspace.demos.convert import import_demos
         from planspace.demos.recording import ImportOptions, assignments
         from planspace.plan.generate import state_info
-        from planspace.plan.problem import load_problem
+        from planspace.plan.problem_file import load_problem
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)
         options = ImportOptions(states, controls, self.dt, self.as_recorded)

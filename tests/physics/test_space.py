@@ -5,7 +5,7 @@ import pytest
 from planspace.errors import UsageError
 from planspace.physics.simulate import load_model
 from planspace.physics.space import StateSpace
-from planspace.plan.problem import load_problem
+from planspace.plan.problem_file import load_problem
 from planspace.tasks import TASKS
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from planspace.physics.simulate import Simulator, load_model
 from planspace.plan.clearance import REACH, Clearance, collidable_pairs
-from planspace.plan.problem import load_problem
+from planspace.plan.problem_file import load_problem
 
 
 @pytest.fixture(scope="module")

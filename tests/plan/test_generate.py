@@ -9,9 +9,11 @@ from planspace.demos.dataset import Demos, load_demos
 from planspace.demos.describe import replay_errors
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.plan import generate as module
-from planspace.plan.generate import Failure, PlannerConfig, generate
+from planspace.plan.generate import generate
+from planspace.plan.planner import Failure, PlannerConfig
 from planspace.plan.polish import PolishConfig
-from planspace.plan.problem import Box, load_problem, shipped_problems
+from planspace.plan.problem import Box
+from planspace.plan.problem_file import load_problem, shipped_problems
 from planspace.plan.sst import SSTConfig
 
 from ..conftest import QUICK_PLANNER

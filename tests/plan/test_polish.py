@@ -5,9 +5,10 @@ import pytest
 
 from planspace.physics.simulate import Simulator
 from planspace.plan.clearance import Clearance
-from planspace.plan.generate import PlannerConfig
+from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import Polish, PolishConfig
-from planspace.plan.problem import Goal, Problem, load_problem
+from planspace.plan.problem import Goal, Problem
+from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
 

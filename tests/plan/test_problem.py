@@ -6,8 +6,9 @@ import pytest
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulate import ASSETS, Simulator
-from planspace.plan.generate import PlannerConfig
-from planspace.plan.problem import Box, load_problem, shipped_problems
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem import Box
+from planspace.plan.problem_file import load_problem, shipped_problems
 from planspace.plan.sst import SSTConfig
 
 GOOD = (ASSETS / "cartpole-swingup.yaml").read_text()

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulate import Simulator
-from planspace.plan import sst
-from planspace.plan.problem import Problem, load_problem
+from planspace.plan import tree as tree_module
+from planspace.plan.problem import IDLE_COST, Problem
+from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
-from planspace.plan.sst import IDLE_COST, SST, Search, SSTConfig, _Tree, step_cost
+from planspace.plan.sst import SST, Search, SSTConfig
+from planspace.plan.tree import Tree
 
 CONFIG = SSTConfig(extensions=256, min_rounds=4, max_rounds=40)
 HANGING = np.array([0.0, np.pi, 0.0, 0.0])
@@ -55,7 +57,7 @@ def test_effort_is_another_cost_than_duration() -> None:
     expected = 0.02 * (IDLE_COST * len(light.controls) + np.abs(light.controls).sum() / 3)
     assert light.cost == pytest.approx(expected)
     quick = solve(0, config)
-    assert light.cost < step_cost(problem, simulator, quick.controls).sum()
+    assert light.cost < problem.step_cost(simulator, quick.controls).sum()
 
 
 def test_seconds_are_a_budget_too_and_improve_all_the_while() -> None:
@@ -75,8 +77,9 @@ def test_settings_out_of_range_are_refused(wrong: dict) -> None:
         SSTConfig(**wrong)
 
 
-def make_tree(rng: np.random.Generator, rounds: int) -> _Tree:
-    tree = _Tree(HANGING, query(0), 0.2)
+def make_tree(rng: np.random.Generator, rounds: int) -> Tree:
+    one = query(0)
+    tree = Tree(HANGING, one.problem, one.simulator, 0.2)
     for _ in range(rounds):
         parents = rng.integers(0, len(tree.costs), 64)
         states = np.clip(tree.states[parents] + rng.normal(0, 0.3, (64, 4)), -1, 1)
@@ -84,7 +87,7 @@ def make_tree(rng: np.random.Generator, rounds: int) -> _Tree:
     return tree
 
 
-def members(tree: _Tree) -> dict[tuple, list[int]]:
+def members(tree: Tree) -> dict[tuple, list[int]]:
     """Nodes by their cell, found without the tree's own hashing."""
     cells: dict[tuple, list[int]] = {}
     for node, row in enumerate(np.floor(tree.features / tree.cell_size).astype(int).tolist()):
@@ -121,7 +124,7 @@ def test_costs_are_the_sum_of_durations_to_the_root(rng: np.random.Generator) ->
 def test_neighbours_agree_with_a_full_search_however_the_index_is_split(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sst, "NEIGHBOUR_SLACK", 0.0)
+    monkeypatch.setattr(tree_module, "NEIGHBOUR_SLACK", 0.0)
     tree = make_tree(rng, 5)
     for _ in range(4):
         targets = rng.uniform(-1, 1, (32, tree.features.shape[1]))

@@ -12,8 +12,9 @@ from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import PRESETS, FitConfig, fit
 from planspace.errors import PlanspaceError, unknown
-from planspace.plan.generate import PlannerConfig, generate
-from planspace.plan.problem import load_problem
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem_file import load_problem
 from planspace.rl.train import TrainConfig, train
 from planspace.store import Arrays, open_run, read_json, write_json
 from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report

@@ -1,0 +1,279 @@
+"""One query in OMPL's terms: its spaces, states, propagation, goal and objective."""
+
+import itertools
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planspace.physics import quaternion
+from planspace.physics.angles import wrap
+from planspace.physics.simulate import FREE, Simulator, advance
+from planspace.physics.space import StateSpace
+from planspace.plan.ompl import CONTROL_PLANNERS, GEOMETRIC_PLANNERS, OMPLConfig
+from planspace.plan.problem import Goal, Problem
+
+PROJECTION_DIMENSIONS = 3
+PROJECTION_CELLS = 20
+"""Cells a dimension in the projection that KPIECE1, EST and PDST explore by."""
+
+
+class Query:
+    """One query in OMPL's terms."""
+
+    def __init__(self, problem: Problem, simulator: Simulator, goal: Goal, config: OMPLConfig):
+        from ompl import base, util
+
+        util.setLogLevel(util.LOG_ERROR)
+        self.base, self.problem, self.simulator, self.goal = base, problem, simulator, goal
+        self.config, self.space = config, simulator.space
+        self.dt = simulator.model.opt.timestep
+        self.steps, self.nearest = 0, np.inf
+        self.parts = _parts(self.space)
+        self.ompl_space = self._state_space()
+
+    def solve(self, planner: str, start: np.ndarray, seed: int) -> dict[str, Any]:
+        """Runs a planner; the answer is plain data."""
+        from ompl import util
+
+        util.RNG.setSeed(seed)
+        if self.space.kinematic:
+            controls, arrived = self._solve_geometric(GEOMETRIC_PLANNERS[planner], start)
+        else:
+            controls, arrived = self._solve_control(CONTROL_PLANNERS[planner], start)
+        return {
+            "arrived": arrived,
+            "controls": controls,
+            "duration": len(controls) * self.dt if arrived else np.inf,
+            "nearest": float(self.nearest),
+            "steps": self.steps,
+        }
+
+    # --- states -----------------------------------------------------------------------------------------
+
+    def _state_space(self) -> Any:
+        """One subspace a part, weighted as neighbours are in ours, and the time at the end."""
+        base, weights = self.base, self.problem.weights(self.space)
+        space = base.CompoundStateSpace()
+        speed = self.problem.speed(self.space)
+        for s, t, kind in self.parts:
+            if kind == "circle":
+                part = base.SO2StateSpace()
+            elif kind == "rotation":
+                part = base.SO3StateSpace()
+            else:
+                part = base.RealVectorStateSpace(1)
+                bounds = base.RealVectorBounds(1)
+                positions = self.space.num_positions
+                reach = speed[t - self.space.num_dofs] if s >= positions else 0.0
+                bounds.setLow(float(self.space.low[s] if s < positions else -reach))
+                bounds.setHigh(float(self.space.high[s] if s < positions else reach))
+                part.setBounds(bounds)
+            space.addSubspace(part, float(weights[t]))
+        clock = base.RealVectorStateSpace(1)
+        bounds = base.RealVectorBounds(1)
+        bounds.setLow(0.0)
+        bounds.setHigh(1e6)
+        clock.setBounds(bounds)
+        space.addSubspace(clock, 0.0)
+        return space
+
+    def read(self, state: Any) -> np.ndarray:
+        """A state of OMPL as ours."""
+        x = np.empty(self.space.size)
+        for part, (s, _, kind) in enumerate(self.parts):
+            value = state[part]
+            if kind == "circle":
+                x[s] = value.value
+            elif kind == "rotation":
+                x[s : s + 4] = value.w, value.x, value.y, value.z
+            else:
+                x[s] = value[0]
+        return x
+
+    def write(self, x: np.ndarray, clock: float, state: Any) -> None:
+        """Our state into one of OMPL's, angles wrapped."""
+        for part, (s, _, kind) in enumerate(self.parts):
+            value = state[part]
+            if kind == "circle":
+                value.value = float(wrap(x[s]))
+            elif kind == "rotation":
+                value.w, value.x, value.y, value.z = (float(q) for q in quaternion.normalise(x[s : s + 4]))
+            else:
+                value[0] = float(x[s])
+        state[len(self.parts)][0] = clock
+
+    def clock(self, state: Any) -> float:
+        """The time at which a state was reached [s]."""
+        return float(state[len(self.parts)][0])
+
+    def valid(self, state: Any) -> bool:
+        """OMPL's validity checker."""
+        x = self.read(state)
+        if self.simulator.validity == FREE:  # the bounds alone, without a simulation
+            return bool(self.space.in_bounds(x))
+        return bool(self.simulator.valid_states(x[None])[0])
+
+    def distance(self, state: Any) -> float:
+        """How far a state is from the goal."""
+        distance = float(self.goal.distance(self.read(state)))
+        self.nearest = min(self.nearest, distance)
+        return distance
+
+    # --- the two kinds of problem -----------------------------------------------------------------------
+
+    def _solve_control(self, name: str, start: np.ndarray) -> tuple[np.ndarray, bool]:
+        from ompl import control
+
+        base, simulator = self.base, self.simulator
+        size = len(simulator.control_low)
+        controls = control.RealVectorControlSpace(self.ompl_space, size)
+        bounds = base.RealVectorBounds(size)
+        for i in range(size):
+            bounds.setLow(i, float(simulator.control_low[i]))
+            bounds.setHigh(i, float(simulator.control_high[i]))
+        controls.setBounds(bounds)
+        setup = control.SimpleSetup(controls)
+        information = setup.getSpaceInformation()
+        information.setPropagationStepSize(self.dt)
+        information.setMinMaxControlDuration(1, self.config.max_edge_steps)
+        model, data = simulator.model, mujoco.MjData(simulator.model)
+
+        def propagate(before: Any, action: Any, duration: float, after: Any) -> None:
+            steps = max(1, round(duration / self.dt))
+            self.space.write(self.read(before), data.qpos, data.qvel)
+            data.qacc_warmstart[:] = 0.0
+            reached = advance(model, data, self.space, np.array([action[i] for i in range(size)]), steps)
+            self.steps += steps
+            self.write(reached, self.clock(before) + steps * self.dt, after)
+
+        setup.setStatePropagator(control.StatePropagatorFn(propagate))
+        self._prepare(setup, start, control, name)
+        arrived = self._run(setup)
+        if not setup.haveSolutionPath():
+            return np.empty((0, size)), False
+        path = setup.getSolutionPath()
+        edges = range(path.getControlCount())
+        held = [max(1, round(path.getControlDuration(i) / self.dt)) for i in edges]
+        actions = [[path.getControl(i)[k] for k in range(size)] for i in edges]
+        return np.repeat(np.array(actions).reshape(len(held), size), held, axis=0), arrived
+
+    def _solve_geometric(self, name: str, start: np.ndarray) -> tuple[np.ndarray, bool]:
+        from ompl import geometric
+
+        setup = geometric.SimpleSetup(self.ompl_space)
+        self._prepare(setup, start, geometric, name)
+        setup.getSpaceInformation().setStateValidityCheckingResolution(0.005)
+        if not self._run(setup):
+            return np.empty((0, self.space.num_dofs)), False
+        setup.simplifySolution()
+        path = setup.getSolutionPath()
+        corners = [self.read(path.getState(i)) for i in range(path.getStateCount())]
+        return _velocities(self.space, corners, self.dt), True
+
+    def _prepare(self, setup: Any, start: np.ndarray, module: Any, name: str) -> None:
+        base = self.base
+        setup.setStateValidityChecker(base.StateValidityCheckerFn(self.valid))
+        state = base.State(self.ompl_space)
+        self.write(start, 0.0, state())
+        setup.setStartState(state)
+        self._goal = _goal_region(self, setup.getSpaceInformation())
+        setup.setGoal(self._goal)
+        self._objective = _duration(self, setup.getSpaceInformation())
+        setup.setOptimizationObjective(self._objective)
+        self._projection = _projection(self, self.ompl_space)
+        self.ompl_space.registerDefaultProjection(self._projection)
+        planner = getattr(module, name)(setup.getSpaceInformation())
+        if hasattr(planner, "setGoalBias"):
+            planner.setGoalBias(self.config.goal_bias)
+        if name == "SST":
+            planner.setSelectionRadius(self.config.selection_radius)
+            planner.setPruningRadius(self.config.pruning_radius)
+        self._planner = planner
+        setup.setPlanner(planner)
+
+    def _run(self, setup: Any) -> bool:
+        if self.config.iterations:
+            counted = self.base.IterationTerminationCondition(self.config.iterations)
+            setup.solve(self.base.PlannerTerminationCondition(counted))
+        else:
+            setup.solve(self.config.seconds)
+        return bool(setup.haveExactSolutionPath())
+
+
+def _goal_region(query: Query, information: Any) -> Any:
+    """Our goal as a region OMPL can sample."""
+
+    class Region(query.base.GoalSampleableRegion):  # made here: the base class exists only with OMPL
+        def __init__(self) -> None:
+            super().__init__(information)
+            self.setThreshold(query.goal.tolerance)
+
+        def distanceGoal(self, state: Any) -> float:
+            return query.distance(state)
+
+        def sampleGoal(self, state: Any) -> None:
+            query.write(query.goal.center, 0.0, state)
+
+        def maxSampleCount(self) -> int:
+            return 1
+
+    return Region()
+
+
+def _duration(query: Query, information: Any) -> Any:
+    """The objective: the time between two states, for a straight motion what the velocity bounds allow."""
+
+    class Duration(query.base.OptimizationObjective):
+        def motionCost(self, before: Any, after: Any) -> Any:
+            if not query.space.kinematic:
+                return query.base.Cost(abs(query.clock(after) - query.clock(before)))
+            way = np.abs(query.space.difference(query.read(after), query.read(before)))
+            return query.base.Cost(float((way / query.space.velocity_bound).max()))
+
+        def stateCost(self, state: Any) -> Any:
+            return query.base.Cost(0.0)
+
+    return Duration(information)
+
+
+def _projection(query: Query, space: Any) -> Any:
+    """The first few positions."""
+    from ompl import util
+
+    columns = [s for s, _, kind in query.parts if kind != "rotation"][:PROJECTION_DIMENSIONS]
+
+    class Positions(query.base.ProjectionEvaluator):
+        def __init__(self) -> None:
+            super().__init__(space)
+            widths = [
+                query.space.high[s] - query.space.low[s] if s < len(query.space.low) else 2.0 for s in columns
+            ]
+            widths = [w if np.isfinite(w) else 2.0 * np.pi for w in widths]
+            cells = util.vectorDouble()
+            cells.extend([float(w) / PROJECTION_CELLS for w in widths])
+            self.setCellSizes(cells)
+
+        def getDimension(self) -> int:
+            return len(columns)
+
+        def project(self, state: Any, projection: Any) -> None:
+            x = query.read(state)
+            for i, column in enumerate(columns):
+                projection[i] = float(x[column])
+
+    return Positions()
+
+
+def _parts(space: StateSpace) -> list[tuple[int, int, str]]:
+    return list(space.layout)
+
+
+def _velocities(space: StateSpace, corners: list[np.ndarray], dt: float) -> np.ndarray:
+    """The velocities that lead along a path from corner to corner, as fast as the bounds allow."""
+    controls = []
+    for a, b in itertools.pairwise(corners):
+        way = space.difference(b, a)
+        steps = max(1, int(np.ceil((np.abs(way) / space.velocity_bound).max() / dt)))
+        controls += [way / (steps * dt)] * steps
+    return np.array(controls).reshape(len(controls), space.num_dofs)
