@@ -38,7 +38,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["rnu"], "Available subcommands: run, plan"),
         (["plan", "--out", "x"], "which problem? Shipped: acrobot, arm, "),
         (["plan", "reachr", "--out", "x"], "Did you mean 'reacher'?"),
-        (["plan", "reacher", "--num", "0", "--out", "x"], "--num and --restarts must be at least 1"),
+        (["plan", "reacher", "--num", "0", "--out", "x"], "--num must be at least 1, --restarts and"),
         (["plan", "reacher", "--planner", "ompl-rtt", "--out", "x"], "Did you mean 'ompl-rrt'?"),
         (
             ["plan", "reacher", "--planner", "ompl-prm", "--out", "x"],

@@ -59,11 +59,11 @@ class Plan:
     workers: Annotated[int, arg(metavar="N")] = 0
     """Processes; 0 takes one for each CPU. The result does not depend on it."""
     planner: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the problem's, sst)")] = ""
-    """sst is ours; ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst plan with OMPL, and, where a problem
-    is kinematic, ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar."""
+    """sst is ours. OMPL's are ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst,
+    and for kinematic problems ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar."""
     cost: Annotated[str, arg(metavar="COST", help_behavior_hint="(default: the problem's, duration)")] = ""
     """What makes a plan good: duration, or effort."""
-    restarts: Annotated[int, arg(metavar="N")] = 2
+    restarts: Annotated[int, arg(metavar="N", help_behavior_hint="(default: the problem's, 2)")] = 0
     """Independent searches for each plan, the best of which is kept (one with OMPL)."""
     polish: bool = True
     """Shorten each plan and land it on its goal; --no-polish keeps what the planner found."""
@@ -80,9 +80,9 @@ class Plan:
 
         if not self.problem:
             raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
-        if self.num < 1 or self.restarts < 1 or self.seconds < 0:
+        if self.num < 1 or self.restarts < 0 or self.seconds < 0:
             raise UsageError(
-                f"--num and --restarts must be at least 1, --seconds at least 0; got {self.num}, "
+                f"--num must be at least 1, --restarts and --seconds not negative; got {self.num}, "
                 f"{self.restarts}, {self.seconds:g}."
             )
         problem = load_problem(self.problem)
@@ -92,7 +92,7 @@ class Plan:
         seconds = self.seconds or None
         changes = {
             "planner": self.planner or None,
-            "restarts": self.restarts,
+            "restarts": self.restarts or None,
             "sst_seconds": seconds,
             "ompl_seconds": seconds,
             "polish_max_iterations": None if self.polish else 0,

@@ -150,6 +150,8 @@ time_limit: 30
         5e-4,
         30,
     )
+    rrt = load_problem(write(tmp_path, text.replace("planner: sst", "planner: RRT")))
+    assert PlannerConfig.for_problem(rrt).planner == "ompl-rrt"
     with pytest.raises(UsageError, match="unknown key 'time_limt'. Did you mean 'time_limit'"):
         load_problem(write(tmp_path, text.replace("time_limit", "time_limt")))
 
@@ -160,6 +162,9 @@ def test_settings_reach_the_parts_they_name() -> None:
     assert (config.sst.min_rounds, config.polish.max_blocks, config.restarts) == (9, 50, 3)
     with pytest.raises(UsageError, match="unknown setting 'min_round'. Did you mean"):
         PlannerConfig.for_problem(problem, min_round=3)
+    assert PlannerConfig.for_problem(problem, restarts=4.0).restarts == 4
+    with pytest.raises(UsageError, match="'min_rounds' takes a whole number, got 4.5"):
+        PlannerConfig.for_problem(problem, min_rounds=4.5)
     with pytest.raises(UsageError, match="'min_rounds' takes a number, got 'many'"):
         PlannerConfig.for_problem(problem, min_rounds="many")
     with pytest.raises(UsageError, match="unknown planner 'ompl-rtt'. Did you mean 'ompl-rrt'"):

@@ -71,7 +71,9 @@ def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
     assert 1.0 < found.nearest <= np.pi  # it started pi away
 
 
-@pytest.mark.parametrize("wrong", [{"extensions": 0}, {"shrink": 0.0}, {"shrink": 1.5}])
+@pytest.mark.parametrize(
+    "wrong", [{"extensions": 0}, {"shrink": 0.0}, {"shrink": 1.5}, {"min_edge_steps": 11}]
+)
 def test_settings_out_of_range_are_refused(wrong: dict) -> None:
     with pytest.raises(ValueError, match="must"):
         SSTConfig(**wrong)

@@ -61,8 +61,10 @@ class OMPLConfig:
     """SST's selection radius, in the weighted distance of neighbour search (2020: 0.002, unit weights)."""
     pruning_radius: float = 0.08
     """SST's pruning radius (2020: 0.0005)."""
+    min_edge_steps: int = 1
+    """An edge holds its control for at least this many physics steps ..."""
     max_edge_steps: int = 10
-    """An edge holds its control for 1 to this many physics steps."""
+    """... and at most this many."""
 
 
 def check_ompl(planner: str, problem: Problem) -> None:

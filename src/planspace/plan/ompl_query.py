@@ -136,7 +136,7 @@ class Query:
         setup = control.SimpleSetup(controls)
         information = setup.getSpaceInformation()
         information.setPropagationStepSize(self.dt)
-        information.setMinMaxControlDuration(1, self.config.max_edge_steps)
+        information.setMinMaxControlDuration(self.config.min_edge_steps, self.config.max_edge_steps)
         model, data = simulator.model, mujoco.MjData(simulator.model)
 
         def propagate(before: Any, action: Any, duration: float, after: Any) -> None:

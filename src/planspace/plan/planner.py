@@ -76,20 +76,27 @@ class PlannerConfig:
         parts = {"sst": self.sst, "regulator": self.regulator, "polish": self.polish, "ompl": self.ompl}
         own = {f.name for f in fields(self)} - parts.keys()
         if key in own:
-            return replace(self, **{key: value})
+            return replace(self, **{key: value if key == "planner" else _like(self.restarts, key, value)})
         for name, part in parts.items():
             short = key.removeprefix(f"{name}_")
             prefixed = short != key
             if (prefixed or name == "sst") and short in {f.name for f in fields(part)}:
-                was = getattr(part, short)
-                if isinstance(value, bool) or not isinstance(value, int | float):
-                    raise UsageError(f"setting {key!r} takes a number, got {value!r}.")
+                number = _like(getattr(part, short), key, value)
                 try:
-                    return replace(self, **{name: replace(part, **{short: type(was)(value)})})
+                    return replace(self, **{name: replace(part, **{short: number})})
                 except ValueError as error:
                     raise UsageError(f"setting {key!r}: {error}.") from error
         known = sorted(own | {f"{n}_{f.name}" for n, part in parts.items() for f in fields(part)})
         raise unknown("setting", key, known)
+
+
+def _like(default: int | float, key: str, value: Any) -> int | float:
+    """A number from a file or the command line, whole where the default is."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise UsageError(f"setting {key!r} takes a number, got {value!r}.")
+    if isinstance(default, int) and value != int(value):
+        raise UsageError(f"setting {key!r} takes a whole number, got {value!r}.")
+    return type(default)(value)
 
 
 @dataclass(frozen=True)

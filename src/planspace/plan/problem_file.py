@@ -120,8 +120,14 @@ def _from_2020(path: Path, settings: dict[str, Any]) -> Problem:
         start=Box(tuple((center - reach).tolist()), tuple((center + reach).tolist())),
         goal=_box(settings["goal"]),
         tolerance=TOLERANCE_2020,
+        planner=_planner_2020(str(settings.get("planner", "sst"))),
         settings=tuple((f"ompl_{key}", float(value)) for key, value in ompl.items() if value is not None),
     )
+
+
+def _planner_2020(name: str) -> str:
+    """Ours where the file asks for SST, else OMPL's of that name."""
+    return "sst" if name.lower() == "sst" else f"ompl-{name.lower()}"
 
 
 def _check_keys(path: Path, settings: dict[str, Any], known: set[str], required: set[str]) -> None:

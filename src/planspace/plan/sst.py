@@ -34,8 +34,10 @@ class SSTConfig:
     """Rounds before giving up."""
     seconds: float = 0.0
     """If positive, search for so long instead, improving all the while; no longer reproducible."""
+    min_edge_steps: int = 1
+    """An edge holds its control for at least this many physics steps ..."""
     max_edge_steps: int = 10
-    """An edge holds its control for 1 to this many physics steps."""
+    """... and at most this many."""
     goal_bias: float = 0.1
     """Share of extensions that aim at the goal."""
     bang_bang: float = 0.3
@@ -55,8 +57,12 @@ class SSTConfig:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        if min(self.extensions, self.min_rounds, self.max_rounds, self.max_edge_steps) < 1:
+        if min(self.extensions, self.min_rounds, self.max_rounds, self.min_edge_steps) < 1:
             raise ValueError("extensions, rounds and edge steps must be at least 1")
+        if self.min_edge_steps > self.max_edge_steps:
+            raise ValueError(
+                f"min_edge_steps must be at most {self.max_edge_steps}, got {self.min_edge_steps}"
+            )
         if not (0 < self.shrink <= 1 and self.shrink_every >= 1):
             raise ValueError(f"shrink must lie in (0, 1], got {self.shrink}")
 
@@ -155,7 +161,7 @@ class SST:
         controls = self.rng.uniform(low, high, shape)
         extreme = self.rng.random((c.extensions, 1)) < c.bang_bang
         controls = np.where(extreme, np.where(self.rng.random(shape) < 0.5, low, high), controls)
-        return controls, self.rng.integers(1, c.max_edge_steps + 1, c.extensions)
+        return controls, self.rng.integers(c.min_edge_steps, c.max_edge_steps + 1, c.extensions)
 
 
 class _Finish:
