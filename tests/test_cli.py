@@ -38,7 +38,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["rnu"], "Available subcommands: run, plan"),
         (["plan", "--out", "x"], "which problem? Shipped: acrobot, arm, "),
         (["plan", "reachr", "--out", "x"], "Did you mean 'reacher'?"),
-        (["plan", "reacher", "--num", "0", "--out", "x"], "--num must be at least 1, --restarts and"),
+        (["plan", "reacher", "--num", "0", "--out", "x"], "--num must be at least 1; --restarts, "),
         (["plan", "reacher", "--planner", "ompl-rtt", "--out", "x"], "Did you mean 'ompl-rrt'?"),
         (
             ["plan", "reacher", "--planner", "ompl-prm", "--out", "x"],
@@ -46,6 +46,8 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         ),
         (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number"),
         (["plan", "reacher", "--settings", "min_round=4", "--out", "x"], "Did you mean 'sst_min_rounds'?"),
+        (["plan", "reacher", "--workers", "-1", "--out", "x"], "--workers and --seed must not be negative"),
+        (["plan", "reacher", "--settings", "restarts=0", "--out", "x"], "restarts must be at least 1"),
         (["plan", "reacher", "--cost", "speed", "--out", "x"], "unknown cost 'speed'"),
         (["train", "--out", "x"], "which task? There are cartpole"),
         (["train", "cartpole", "--z", "augment", "--out", "x"], "give --embedding DIR"),

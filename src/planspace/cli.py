@@ -69,7 +69,7 @@ class Plan:
     """Shorten each plan and land it on its goal; --no-polish keeps what the planner found."""
     seconds: Annotated[float, arg(metavar="S", help_behavior_hint="(default: count rounds; OMPL 20)")] = 0.0
     """Time for each search. Counting rounds instead makes the same plans on every machine."""
-    settings: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")] = ()
+    settings: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")]] = ()
     """Further settings of the planner, such as min_rounds=60, polish_max_blocks=100, ompl_goal_bias=0.2."""
 
     def __call__(self) -> None:
@@ -80,10 +80,9 @@ class Plan:
 
         if not self.problem:
             raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
-        if self.num < 1 or self.restarts < 0 or self.seconds < 0:
+        if self.num < 1 or min(self.restarts, self.seconds, self.workers, self.seed) < 0:
             raise UsageError(
-                f"--num must be at least 1, --restarts and --seconds not negative; got {self.num}, "
-                f"{self.restarts}, {self.seconds:g}."
+                "--num must be at least 1; --restarts, --seconds, --workers and --seed must not be negative."
             )
         problem = load_problem(self.problem)
         if self.cost not in ("", "duration", "effort"):
@@ -97,7 +96,8 @@ class Plan:
             "ompl_seconds": seconds,
             "polish_max_iterations": None if self.polish else 0,
         }
-        config = PlannerConfig.for_problem(problem, **changes, **dict(map(_setting, self.settings)))
+        changes |= dict(map(_setting, self.settings))
+        config = PlannerConfig.for_problem(problem, **changes)
         folder = generate(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )

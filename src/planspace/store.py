@@ -214,10 +214,10 @@ def open_run(path: Path, config: Mapping[str, Any]) -> Path:
             )
         write_json(kept, config)
         return path
-    differences = list(_differences(read_json(kept), config))
-    if differences:
+    changed = list(differences(read_json(kept), config))
+    if changed:
         raise PlanspaceError(
-            f"{path} was made with other settings: {'; '.join(differences)}. "
+            f"{path} was made with other settings: {'; '.join(changed)}. "
             "Choose another --out, or give the same settings to continue it."
         )
     return path
@@ -236,11 +236,12 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
-def _differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Names each value that is not the same in two trees of plain data."""
     for key in sorted(old.keys() | new.keys()):
         before, now = old.get(key), new.get(key)
         if isinstance(before, dict) and isinstance(now, dict):
-            yield from _differences(before, now, f"{prefix}{key}.")
+            yield from differences(before, now, f"{prefix}{key}.")
         elif before != now:
             yield f"{prefix}{key} was {before!r}, now {now!r}"
 

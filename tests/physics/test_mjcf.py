@@ -52,6 +52,7 @@ def test_includes_are_merged(tmp_path: Path) -> None:
         ('<include file="nowhere.xml"/>', "cannot read .*nowhere.xml"),
         ('<asset><mesh file="../a.stl"/></asset>', "'../a.stl', outside its folder"),
         ('<compiler meshdir="../"/><asset><mesh file="a.stl"/></asset>', "'a.stl', outside its folder"),
+        ('<asset><texture type="cube" fileright="/etc/a.png"/></asset>', "'/etc/a.png', outside its folder"),
         ('<asset><mesh file="a.stl"/></asset>', "does not compile: .*a.stl"),
         ('<asset><hfield file="a.png"/></asset>', "cannot hold a hfield in a file"),
         ("<nonsense/>", "does not compile: .*nonsense.*line 1"),
@@ -89,3 +90,27 @@ def test_meshes_become_text_and_pictures_plain_colour(tmp_path: Path) -> None:
     original = mujoco.MjModel.from_xml_path(str(path))
     for field in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat"):
         np.testing.assert_allclose(getattr(model, field), getattr(original, field), rtol=1e-5, atol=1e-6)
+
+
+def test_an_asset_folder_counts_for_the_files_of_all_parts(tmp_path: Path) -> None:
+    """MuJoCo applies the main file's meshdir to an included file's meshes."""
+    write(tmp_path, '<mujoco><asset><mesh name="m" file="m.obj"/></asset></mujoco>', "models/part.xml")
+    write(tmp_path, TETRAHEDRON, "m.obj")
+    path = write(
+        tmp_path, '<mujoco><compiler meshdir=".."/><include file="part.xml"/></mujoco>', "models/model.xml"
+    )
+    with pytest.raises(PlanspaceError, match="'m.obj', outside its folder"):
+        read_model(path)
+
+
+def test_another_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="no MJCF model: it begins with <robot>"):
+        read_model(write(tmp_path, '<robot><link name="l"><mesh filename="/etc/m.obj"/></link></robot>'))
+
+
+def test_keyframes_do_not_stop_a_joint_from_being_held(tmp_path: Path) -> None:
+    keyed = TWO_JOINTS.replace("</mujoco>", '<keyframe><key qpos="1 2" ctrl="0 0"/></keyframe></mujoco>')
+    assert load_model(read_model(write(tmp_path, keyed), ("a",))).nq == 1
+    tied = TWO_JOINTS.replace("</mujoco>", '<equality><joint joint1="a" joint2="b"/></equality></mujoco>')
+    with pytest.raises(PlanspaceError, match="the joints b cannot be held: .*Plan for them too"):
+        read_model(write(tmp_path, tied), ("a",))

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulate import Simulator, load_model
+from planspace.plan import clearance as module
 from planspace.plan.clearance import REACH, Clearance, collidable_pairs
 from planspace.plan.problem_file import load_problem
 
@@ -39,6 +40,15 @@ def test_slopes_foretell_small_moves(clearance: Clearance, rng: np.random.Genera
     apart = (before > 0.01) & (before < 0.05)
     assert apart.sum() > 5
     assert np.median(np.abs(change - foretold)[apart]) < 0.02 * np.abs(change[apart]).max()
+
+
+def test_more_pairs_than_are_kept_apart_leave_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_PAIRS", 3)
+    problem = load_problem("arm-kinematic")
+    clearance = Clearance(problem, problem.compile()[1], threads=1)
+    states = np.array([problem.goal.low])
+    assert clearance.distances(states).shape == (1, 0)
+    assert clearance.slopes(states, clearance.distances(states)).shape == (1, 0, 7)
 
 
 def test_which_pairs_mujoco_would_let_collide() -> None:

@@ -7,13 +7,14 @@ import pytest
 
 from planspace.demos.dataset import Demos, load_demos
 from planspace.demos.describe import replay_errors
-from planspace.errors import PartialResult, PlanspaceError
+from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.plan import generate as module
 from planspace.plan.generate import generate
-from planspace.plan.planner import Failure, PlannerConfig
+from planspace.plan.planner import Failure, Planner, PlannerConfig
 from planspace.plan.polish import PolishConfig
 from planspace.plan.problem import Box
 from planspace.plan.problem_file import load_problem, shipped_problems
+from planspace.plan.regulator import Regulator
 from planspace.plan.sst import SSTConfig
 
 from ..conftest import QUICK_PLANNER
@@ -33,10 +34,10 @@ def test_interrupted_serial_planning_ends_as_undisturbed_parallel_planning_did(
 
     monkeypatch.setattr(module, "plan_one", counted)
     with pytest.raises(KeyboardInterrupt):
-        generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=1)
-    assert len(load_demos(tmp_path)) == 10  # the shard that was full is safe
-    generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=1)
-    assert planned == [*range(12), 10, 11]  # nothing on disk was planned again
+        generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+    assert len(load_demos(tmp_path)) == 11  # a full shard, and the plan that was done when it was stopped
+    generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+    assert planned == [*range(12), 11]  # nothing on disk was planned again
     assert load_demos(tmp_path).hash == demos.hash
 
 
@@ -45,7 +46,7 @@ def test_a_finished_dataset_is_left_alone_and_other_settings_are_refused(demo_fo
     before = {p.name: p.read_bytes() for p in demo_folder.iterdir()}
     generate(problem, demo_folder, num=12, seed=0, config=QUICK_PLANNER)
     assert {p.name: p.read_bytes() for p in demo_folder.iterdir()} == before
-    with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 7"):
+    with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 7."):
         generate(problem, demo_folder, num=12, seed=7, config=QUICK_PLANNER)
 
 
@@ -58,11 +59,12 @@ def test_failed_plans_are_counted_and_the_others_kept(
     with pytest.raises(
         PartialResult, match="1 of 3 plans found no way to the goal .*came within 0.25"
     ) as raised:
-        generate(problem, tmp_path, num=3, seed=0, config=QUICK_PLANNER, workers=1)
+        generate(problem, tmp_path, num=3, seed=0, config=QUICK_PLANNER, workers=0)
     assert raised.value.exit_code == 3
     assert load_demos(tmp_path).indices.tolist() == [0, 2]
     logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
-    assert logged[-1]["failures"] == [{"nearest": 0.25, "reason": "no path found within the budget"}]
+    expected = {"plan": 1, "nearest": 0.25, "reason": "no path found within the budget"}
+    assert logged[-1]["failures"] == [expected]
 
 
 def test_an_unreachable_goal_stops_at_its_budget_and_says_how_near_it_came(tmp_path: Path) -> None:
@@ -76,9 +78,9 @@ def test_an_unreachable_goal_stops_at_its_budget_and_says_how_near_it_came(tmp_p
         polish=PolishConfig(max_iterations=5),
     )
     with pytest.raises(PartialResult, match="1 of 1 plans .* The nearest came within [0-9.]+ of it"):
-        generate(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=1)
-    with pytest.raises(PartialResult, match="1 of 1 plans"):  # a resumed command says so again
-        generate(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=1)
+        generate(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=0)
+    with pytest.raises(PartialResult, match="1 of 1 plans .* The nearest came within"):  # said again
+        generate(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=0)
 
 
 @pytest.mark.parametrize("name", [n for n in shipped_problems() if n != "acrobot"])
@@ -117,6 +119,53 @@ def test_polish_makes_plans_shorter_and_restarts_never_longer() -> None:
         lengths[key] = np.array([len(plan.controls) for plan in plans])  # pyright: ignore
     assert lengths["one"].sum() < 0.7 * lengths["tree"].sum()
     assert (lengths["two"] <= lengths["one"]).all()
+
+
+def test_a_changed_setting_is_named_alone(tmp_path: Path) -> None:
+    problem = load_problem("cartpole")
+    generate(problem, tmp_path, num=1, seed=0, config=QUICK_PLANNER, workers=0)
+    other = replace(QUICK_PLANNER, sst=SSTConfig(extensions=128))
+    with pytest.raises(PlanspaceError, match="settings: config.sst.extensions was 256, now 128.$"):
+        generate(problem, tmp_path, num=1, seed=0, config=other, workers=0)
+
+
+def test_a_start_in_the_goal_region_is_drawn_again() -> None:
+    problem = load_problem("pendulum")
+    near = replace(problem, start=Box((-0.2, 0.0), (0.2, 0.0)))  # half of them are within 0.1
+    planner = Planner(near, PlannerConfig.for_problem(near, restarts=1))
+    for index in range(4):
+        plan = planner.plan(0, index)
+        assert not isinstance(plan, Failure) and plan.seed == 0 and abs(plan.states[0, 0]) > 0.1
+    rng = np.random.default_rng(0)
+    inside = planner.connect(np.zeros(2), near.draw_goal(planner.space, rng), rng)
+    assert isinstance(inside, Failure) and inside.reason == "the start lies in the goal region"
+
+
+def test_holding_must_not_leave_what_is_valid() -> None:
+    """A cart that arrives at the wall too fast: it comes back into the goal, but through the wall."""
+    wall = """<mujoco><worldbody>
+      <body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
+      <actuator><motor joint="x" ctrllimited="true" ctrlrange="-20 20"/></actuator></mujoco>"""
+    problem = replace(
+        load_problem("pendulum"), mjcf=wall, joints=("x",), start=Box((0.0, 0.0), (0.0, 0.0)),
+        goal=Box((0.95, 0.0), (0.95, 0.0)), goal_weights=(1.0, 0.0), tolerance=0.05,
+        position_bounds=(("x", (-1.0,), (1.0,)),), sample_velocity=(5.0,),
+    )  # fmt: skip
+    planner = Planner(problem, PlannerConfig.for_problem(problem))
+    goal = problem.draw_goal(planner.space, np.random.default_rng(0))
+    regulator = Regulator(planner.simulator, goal, planner.weights, planner.config.regulator)
+    fast = np.full((250, 1), 20.0)  # at 20 m/s^2 it is 6 m/s fast after 0.9 m
+    assert "cannot be held" in str(planner.record(regulator, np.zeros(2), fast))
+    brakes = np.concatenate([np.full((215, 1), 5.0), np.full((215, 1), -5.0)])  # at rest after 0.92 m
+    found = planner.record(regulator, np.zeros(2), brakes)
+    assert not isinstance(found, str), found
+
+
+def test_a_predicate_needs_a_name_by_which_workers_find_it(tmp_path: Path) -> None:
+    problem = replace(load_problem("cartpole"), predicate=lambda x: np.ones(len(x), dtype=bool))
+    with pytest.raises(UsageError, match="must be a function that its module has by name, not a lambda"):
+        generate(problem, tmp_path / "demos", num=1, seed=0)
+    assert not (tmp_path / "demos").exists()
 
 
 def test_a_goal_that_need_not_be_held_can_be_run_through() -> None:

@@ -55,7 +55,7 @@ def test_every_geometric_planner_finds_a_way(planner: str, tmp_path: Path) -> No
     near = (-0.6, 0.8, 0.0, 1.1, 0.0, 0.0, 0.0)
     problem = replace(load_problem("arm-kinematic"), goal=Box(near, near), tolerance=0.2)
     config = PlannerConfig.for_problem(problem, planner=planner, ompl_seconds=3.0, polish_max_iterations=0)
-    generate(problem, tmp_path, num=1, seed=0, config=config, workers=1)
+    generate(problem, tmp_path, num=1, seed=0, config=config, workers=0)
     episode = load_demos(tmp_path).episode(0)
     assert len(episode.controls) > 10 and np.abs(episode.controls).max() <= 2.0 + 1e-9
 
@@ -69,7 +69,7 @@ def test_a_crash_costs_one_plan_and_is_reported(
     problem = load_problem("pendulum")
     config = PlannerConfig.for_problem(problem, planner="ompl-rrt")
     with pytest.raises(PartialResult, match=r"1 of 1 plans .*ompl-rrt crashed \(exit code -6\)"):
-        generate(problem, tmp_path, num=1, seed=0, config=config, workers=1)
+        generate(problem, tmp_path, num=1, seed=0, config=config, workers=0)
     assert "this costs one plan" in capfd.readouterr().err
 
 

@@ -68,11 +68,37 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("goal: [0.0,", "goal: [.nan,", "expected finite numbers"),
         ("model: cartpole.xml", "model: ../cartpole.xml", "'../cartpole.xml', outside its folder"),
         ("tolerance: 0.1", "tolerance: 0.1\ncost: speed", "unknown cost 'speed'"),
-        ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold is true or false, got 'maybe'"),
+        ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold: it is true or false, got 'maybe'"),
         ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: some", "none, all, or a list of pairs"),
         ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: [[cart, floor]]", "unknown geom 'floor'"),
         ("tolerance: 0.1", "tolerance: 0.1\ngoal_weights: [1.0]", "goal_weights has 1 numbers, 4 are"),
-        ("high: [0.2,", "hihg: [0.2,", "unknown key of a box 'hihg'. Did you mean 'high'"),
+        ("high: [0.2,", "hihg: [0.2,", "start: unknown key of a box 'hihg'. Did you mean 'high'"),
+        ("start: {low: [-0.2, -3.14, -0.1, -0.1], ", "start: {", "start: it has no 'low'"),
+        ("joints: [slider, hinge]", "joints: 5", "joints: expected a list of names, got 5"),
+        ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [true, 0, 0, 0]", "goal: expected finite numbers, got True"),
+        ("tolerance: 0.1", "tolerance: -1", "tolerance: it must be positive, got -1"),
+        ("tolerance: 0.1", "tolerance: '0.1'", "tolerance: expected finite numbers, got '0.1'"),
+        ("tolerance: 0.1", "tolerance: 1" + 400 * "0", "tolerance: .*too large"),
+        ("tolerance: 0.1", "tolerance: 1" + 5000 * "0", "is not valid YAML"),
+        ("tolerance: 0.1", "tolerance: 2020-13-45", "is not valid YAML"),
+        ("tolerance: 0.1", "tolerance: 0.1\ntolerance: 0.2", "the key 'tolerance' comes twice"),
+        ("tolerance: 0.1", "tolerance: 0.1\nsettings: [1]", "settings: expected keys and values"),
+        ("tolerance: 0.1", "tolerance: 0.1\nsettings: {1: 2}", "settings: expected keys and values"),
+        ("tolerance: 0.1", "tolerance: 0.1\nposition_bounds: 3", "position_bounds: .*items"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\ngoal_weights: [-1, 1, 1, 1]",
+            "goal_weights: weights are not neg",
+        ),
+        ("tolerance: 0.1", "tolerance: 0.1\nvelocity_bound: 0", "velocity_bound: speeds are positive, got 0"),
+        ("tolerance: 0.1", "tolerance: 0.1\nvelocity_bound: [1, 2, 3]", "the joints have 2 velocities"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\ncontrol_bounds: {low: [-4], high: [4]}",
+            "within the model's own",
+        ),
+        ("tolerance: 0.1", "tolerance: 0.1\ncontrol_bounds: {low: [0], high: [0]}", "must have low < high"),
+        ("tolerance: 0.1", "tolerance: 0.1\ncontrol_bounds: [1, 2]", "has 2 numbers; the model has 1 act"),
     ],
 )
 def test_bad_files_are_refused(before: str, after: str, message: str, tmp_path: Path) -> None:
@@ -103,7 +129,7 @@ def test_a_joint_or_an_actuator_without_limits_needs_bounds(tmp_path: Path) -> N
         load_problem(path)
     text += "control_bounds: {low: [-1], high: [1]}\n"
     Path(path).write_text(text)
-    with pytest.raises(PlanspaceError, match="joint 'x' has no limits; give it position_bounds"):
+    with pytest.raises(PlanspaceError, match="'x' has no limits; give its joint position_bounds"):
         load_problem(path)
     Path(path).write_text(text + "position_bounds: {x: {low: [-2], high: [2]}}\n")
     model, space = load_problem(path).compile()
@@ -160,6 +186,14 @@ def test_settings_reach_the_parts_they_name() -> None:
     problem = replace(load_problem("cartpole"), settings=(("min_rounds", 9), ("polish_max_blocks", 50)))
     config = PlannerConfig.for_problem(problem, restarts=3, ompl_seconds=None)
     assert (config.sst.min_rounds, config.polish.max_blocks, config.restarts) == (9, 50, 3)
+    wider = PlannerConfig.for_problem(problem, min_edge_steps=20, max_edge_steps=40)
+    assert (wider.sst.min_edge_steps, wider.sst.max_edge_steps) == (20, 40)
+    for bad in ({"restarts": 0}, {"goal_bias": 2}, {"tail_every": 0}, {"witness_size": 0}, {"seconds": -1}):
+        with pytest.raises(UsageError, match="settings: .*must"):
+            PlannerConfig.for_problem(problem, **bad)
+    for bad in ("polish_max_blocks", "polish_landing", "regulator_max_steps", "ompl_seconds"):
+        with pytest.raises(UsageError, match=f"settings: .*{bad}.*must"):
+            PlannerConfig.for_problem(problem, **{bad: 0})
     with pytest.raises(UsageError, match="unknown setting 'min_round'. Did you mean"):
         PlannerConfig.for_problem(problem, min_round=3)
     assert PlannerConfig.for_problem(problem, restarts=4.0).restarts == 4
@@ -179,3 +213,44 @@ def test_a_start_always_in_collision_is_said(rng: np.random.Generator) -> None:
     simulator = Simulator(model, space, 4, threads=1, validity=problem.validity)
     with pytest.raises(PlanspaceError, match="problem arm: no valid start in 1000 draws: .*collision"):
         problem.draw_start(simulator, rng)
+
+
+def test_a_goal_that_may_not_be_entered_and_one_that_spans_rotations_are_said(tmp_path: Path) -> None:
+    arm = (ASSETS / "arm-kinematic.yaml").read_text()
+    (tmp_path / "arm.xml").write_text((ASSETS / "arm.xml").read_text())
+    (tmp_path / "mine.yaml").write_text(arm.replace("goal: [1.0, 0.8,", "goal: [0.0, 1.57,"))
+    with pytest.raises(PlanspaceError, match="goal: it is in collision"):
+        load_problem(str(tmp_path / "mine.yaml"))
+    ball = (ASSETS / "ball-pendulum.yaml").read_text()
+    (tmp_path / "ball-pendulum.xml").write_text((ASSETS / "ball-pendulum.xml").read_text())
+    box = "goal: {low: [0.7, 0, 0, 0, 0, 0, 0], high: [1, 0, 0, 0, 0, 0, 0]}"
+    (tmp_path / "mine.yaml").write_text(ball.replace("goal: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", box))
+    with pytest.raises(PlanspaceError, match="goal: a box cannot span rotations"):
+        load_problem(str(tmp_path / "mine.yaml"))
+
+
+def test_a_goal_box_on_a_circle_behind_a_ball_stays_on_the_circle() -> None:
+    """States and tangents count differently there: the hinge is number 4 of the one, 3 of the other."""
+    mjcf = """<mujoco><compiler angle="radian"/><worldbody>
+      <body><joint name="b" type="ball"/><geom size="0.1"/>
+        <body><joint name="h"/><geom size="0.1"/></body></body></worldbody>
+      <actuator><motor joint="h" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+    low = (1.0, 0.0, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0)
+    high = (*low[:4], 3.0, *low[5:])
+    problem = replace(load_problem("pendulum"), mjcf=mjcf, joints=("b", "h"), goal=Box(low, high))
+    goal = problem.draw_goal(problem.compile()[1], np.random.default_rng(0))
+    inside = np.array([1.0, 0, 0, 0, 2.9, 0, 0, 0, 0])
+    assert goal.distance(inside) == pytest.approx(0.0, abs=1e-12)
+    assert goal.distance(inside + np.eye(9)[4] * 0.241592653589793) == pytest.approx(0.141592653589793)
+
+
+def test_a_small_file_makes_no_endless_message(tmp_path: Path) -> None:
+    aliases = "[&a [1, 1, 1], &b [*a, *a, *a], &c [*b, *b, *b], &d [*c, *c, *c], &e [*d, *d, *d], [*e, *e]]"
+    text = GOOD.replace("tolerance: 0.1", f"tolerance: {aliases}")
+    deep = "[" * 40 + "1" + "]" * 40
+    with pytest.raises(PlanspaceError, match="tolerance: expected finite numbers") as raised:
+        load_problem(write(tmp_path, text))
+    assert len(str(raised.value)) < 300
+    with pytest.raises(PlanspaceError, match="tolerance: expected finite numbers") as raised:
+        load_problem(write(tmp_path, GOOD.replace("tolerance: 0.1", f"tolerance: {deep}")))
+    assert len(str(raised.value)) < 300

@@ -8,6 +8,7 @@ An episode has T + 1 states and times and T controls: control k is held from sta
 """
 
 import hashlib
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -21,7 +22,15 @@ from jaxtyping import Float, Int
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import load_model
 from planspace.physics.space import StateSpace
-from planspace.store import json_hash, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.store import (
+    differences,
+    json_hash,
+    make_folder,
+    read_arrays,
+    read_sealed,
+    write_arrays,
+    write_sealed,
+)
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -195,15 +204,8 @@ class DemoFolder:
         self.next_index = 0
         if (path / MANIFEST).exists():
             manifest = _read_manifest(path)
-            if manifest["settings"] != settings:
-                keys = sorted(
-                    k
-                    for k in settings | manifest["settings"]
-                    if settings.get(k) != manifest["settings"].get(k)
-                )
-                was = ", ".join(
-                    f"{k} was {manifest['settings'].get(k)!r}, now {settings.get(k)!r}" for k in keys
-                )
+            if manifest["settings"] != json.loads(json.dumps(settings)):
+                was = "; ".join(differences(manifest["settings"], settings))
                 raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
             self.shards = manifest["shards"]
             self.next_index = manifest["next_index"]

@@ -1,7 +1,7 @@
 """Model files: read without leaving their folder, made into one text, joints held."""
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -11,6 +11,8 @@ from planspace.errors import PlanspaceError, unknown
 from planspace.store import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
+FILE_ATTRIBUTES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
+"""Attributes that name a file; the last six are a cube texture's."""
 
 
 def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
@@ -27,7 +29,7 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
         UsageError: a joint is not in the model.
     """
     text = read_text(path)
-    files = list(_referred_files(path, text, {path.resolve()}, path.parent.resolve()))
+    files = _referred_files(path)
     try:
         spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
         known = [joint.name for joint in spec.joints]
@@ -38,13 +40,19 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
         if not files and not held:
             spec.compile()
             return text
+        _take_in_files(spec)
+    except ValueError as error:
+        raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
+    try:
         for name in held:
             _hold(spec, name)
-        _take_in_files(spec)
         spec.compile()
         return spec.to_xml()
     except ValueError as error:
-        raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
+        raise PlanspaceError(
+            f"{path}: the joints {', '.join(held)} cannot be held: {' '.join(str(error).split())}. Plan for "
+            "them too, or take out of the model what refers to them."
+        ) from error
 
 
 def read_text(path: Path) -> str:
@@ -62,33 +70,59 @@ def read_text(path: Path) -> str:
         raise PlanspaceError(f"{path} is no text: {error}.") from error
 
 
-def _referred_files(path: Path, text: str, seen: set[Path], folder: Path) -> Iterator[Path]:
-    """The files a model refers to, directly or not; refuses what lies outside the model's folder."""
+def _referred_files(path: Path) -> list[Path]:
+    """The files a model refers to, directly or not.
+
+    Raises:
+        PlanspaceError: one lies outside the model's folder, is included twice, or cannot become text.
+    """
+    folder = path.parent.resolve()
+    roots = {path.resolve(): _root(path)}
+    waiting = [(path, roots[path.resolve()])]
+    while waiting:
+        file, root = waiting.pop()
+        for element in root.iter("include"):
+            name = element.get("file", "")
+            included = _inside(file, folder, "", name)
+            if included in roots:
+                raise PlanspaceError(f"{file} includes {name!r} twice, or in a circle.")
+            roots[included] = _root(included)
+            waiting.append((included, roots[included]))
+    # MuJoCo takes asset folders from any file's compiler element for all of them
+    compilers = [element.attrib for root in roots.values() for element in root.iter("compiler")]
+    referred = [file for file in roots if file != path.resolve()]
+    for file, root in roots.items():
+        for element in root.iter():
+            for attribute in FILE_ATTRIBUTES & element.attrib.keys():
+                if element.tag == "include":
+                    continue
+                name = element.attrib[attribute]
+                if element.tag not in ("mesh", "texture"):
+                    raise PlanspaceError(
+                        f"{file} refers to {name!r}: a dataset holds its whole model as text, which cannot "
+                        f"hold a {element.tag} in a file."
+                    )
+                key = {"mesh": "meshdir", "texture": "texturedir"}[element.tag]
+                places = {""} | {c.get(k, "") for c in compilers for k in (key, "assetdir")}
+                referred += [_inside(file, folder, place, name) for place in sorted(places)]
+    return referred
+
+
+def _root(path: Path) -> ElementTree.Element:
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(read_text(path))
     except ElementTree.ParseError as error:
         raise PlanspaceError(f"{path} is not well-formed XML: {error}.") from error
-    compilers = [element.attrib for element in root.iter("compiler")]
-    for element in root.iter():
-        name = element.get("file")
-        if name is None:
-            continue
-        key = {"mesh": "meshdir", "texture": "texturedir"}.get(element.tag, "")
-        places = {c.get(key, c.get("assetdir", "")) for c in compilers} if key else set()
-        files = [(folder / place / name).resolve() for place in sorted(places | {""})]
-        if "://" in name or name.startswith("file:") or not all(f.is_relative_to(folder) for f in files):
-            raise PlanspaceError(f"{path} refers to {name!r}, outside its folder; copy it beside the model.")
-        if element.tag not in ("include", "mesh", "texture"):
-            raise PlanspaceError(
-                f"{path} refers to {name!r}: a dataset holds its whole model as text, which cannot hold a "
-                f"{element.tag} in a file."
-            )
-        yield files[0]
-        if element.tag == "include":
-            if files[0] in seen:
-                raise PlanspaceError(f"{path} includes {name!r} twice, or in a circle.")
-            seen.add(files[0])
-            yield from _referred_files(folder / name, read_text(files[0]), seen, folder)
+    if root.tag not in ("mujoco", "mujocoinclude"):
+        raise PlanspaceError(f"{path} is no MJCF model: it begins with <{root.tag}>.")
+    return root
+
+
+def _inside(path: Path, folder: Path, place: str, name: str) -> Path:
+    file = (folder / place / name).resolve()
+    if ":" in name or not file.is_relative_to(folder):
+        raise PlanspaceError(f"{path} refers to {name!r}, outside its folder; copy it beside the model.")
+    return file
 
 
 def _take_in_files(spec: mujoco.MjSpec) -> None:
@@ -112,9 +146,13 @@ def _take_in_files(spec: mujoco.MjSpec) -> None:
 
 
 def _hold(spec: mujoco.MjSpec, joint: str) -> None:
+    """Takes a joint out, with the actuators and sensors on it, and keyframes, which would no longer fit."""
+    for key in list(spec.keys):
+        spec.delete(key)
+    dropped = [a.name for a in spec.actuators if a.target == joint]
     for actuator in [a for a in spec.actuators if a.target == joint]:
         spec.delete(actuator)
-    on_joint = mujoco.mjtObj.mjOBJ_JOINT
-    for sensor in [s for s in spec.sensors if s.objtype == on_joint and s.objname == joint]:
+    on_it = {(mujoco.mjtObj.mjOBJ_JOINT, joint)} | {(mujoco.mjtObj.mjOBJ_ACTUATOR, a) for a in dropped}
+    for sensor in [s for s in spec.sensors if (s.objtype, s.objname) in on_it]:
         spec.delete(sensor)
     spec.delete(spec.joint(joint))

@@ -187,6 +187,12 @@ class StateSpace:
         finite = np.isfinite(self.low) | np.isfinite(self.high)
         return tuple((s, t) for s, t in pairs if s < self.num_positions and finite[s])
 
+    @cached_property
+    def unbounded(self) -> tuple[int, ...]:
+        """Numbers of a state that have no bounds, though they are neither on a circle nor in a rotation."""
+        plain = [s for s, _, kind in self.layout if kind in ("slide", "hinge")]
+        return tuple(s for s in plain if not (np.isfinite(self.low[s]) and np.isfinite(self.high[s])))
+
     # --- geometry ---------------------------------------------------------------------------------------
 
     def difference(
@@ -408,9 +414,8 @@ def _bounds(
     if name in given:
         size = {"slide": 1, "hinge": 1, "free": 3}.get(kind, 0)
         if not size or any(len(side) != size for side in given[name]):
-            raise UsageError(
-                f"position_bounds of joint {name!r}: a {kind} joint takes {size} numbers a side."
-            )
+            what = "unlimited hinge" if kind == "circle" else f"{kind} joint"
+            raise UsageError(f"position_bounds of {name!r}: a {what} takes {size} numbers a side.")
         low[:size], high[:size] = (
             np.maximum(low[:size], given[name][0]),
             np.minimum(high[:size], given[name][1]),

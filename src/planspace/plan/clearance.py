@@ -52,6 +52,8 @@ class Clearance:
     def distances(self, states: Float[np.ndarray, "step state"]) -> Float[np.ndarray, "step pair"]:
         """The distance of every pair in each state [m], negative where they overlap, at most `REACH`."""
         found = np.empty((len(states), self.num_pairs))
+        if not self.num_pairs:
+            return found
         for first in range(0, len(states), BATCH):
             part = states[first : first + BATCH]
             ids = np.arange(len(part), dtype=np.int32)

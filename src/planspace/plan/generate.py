@@ -1,5 +1,6 @@
 """Many plans: seeded starts, worker processes, shards committed as they are made, resume."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -16,7 +17,7 @@ import numpy as np
 
 import planspace
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
-from planspace.errors import PartialResult
+from planspace.errors import PartialResult, UsageError
 from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.plan.problem import Problem
@@ -24,7 +25,8 @@ from planspace.progress import progress
 from planspace.store import append_row
 
 SHARD_EPISODES = 10
-"""Plans a shard: what a kill can cost, at most, beside those under way."""
+"""Plans a shard. A kill costs those since the last one; Ctrl-C and errors cost only plans under way."""
+LOG = "log.jsonl"
 
 
 def generate(
@@ -47,7 +49,8 @@ def generate(
         num: how many plans it is to hold.
         seed: the seed of all of them.
         config: planner settings; by default the problem's own.
-        workers: processes; by default one for each CPU.
+        workers: processes; by default one for each CPU. 0 plans in this one, where linear algebra may use
+            several threads, and round otherwise.
 
     Returns:
         The folder.
@@ -57,6 +60,7 @@ def generate(
         PartialResult: some plans failed at every attempt; the others are saved.
     """
     config = config or PlannerConfig.for_problem(problem)
+    _check_predicate(problem)
     if config.planner != "sst":
         check_ompl(config.planner, problem)
     folder = DemoFolder(
@@ -71,42 +75,76 @@ def generate(
         },
     )
     remaining = range(folder.next_index, num)
-    failures: list[Failure] = []
     if remaining:
-        began = time.monotonic()
-        with progress("plan", num, done=folder.next_index, unit="plan") as bar:
-            batch: list[Episode] = []
-            plans = _plan_all(problem, config, seed, remaining, workers)
-            for i, plan in zip(remaining, plans, strict=True):
-                if isinstance(plan, Failure):
-                    failures.append(plan)
-                else:
-                    batch.append(plan)
-                tried = i + 1 - remaining.start
-                rate = (tried - len(failures)) / (time.monotonic() - began) * 60
-                bar.set_postfix_str(
-                    f"{tried - len(failures)} of {tried} solved, {rate:.0f} a minute", refresh=False
-                )
-                bar.update()
-                if (i + 1) % SHARD_EPISODES == 0 or i + 1 == num:
-                    folder.append(batch, i + 1)
-                    row = {"time": time.time(), "planned": i + 1, "failures": [asdict(f) for f in failures]}
-                    append_row(out / "log.jsonl", row)
-                    batch = []
-    _report_missing(folder, failures)
+        _extend(folder, problem, config, seed, remaining, workers)
+    _report_missing(folder)
     return folder
 
 
-def _report_missing(folder: DemoFolder, failures: list[Failure]) -> None:
+def _extend(
+    folder: DemoFolder,
+    problem: Problem,
+    config: PlannerConfig,
+    seed: int,
+    remaining: range,
+    workers: int | None,
+) -> None:
+    """Plans what is missing; whatever stops it, the plans that are done are saved."""
+    batch, failures, solved, next_index = [], [], 0, remaining.start
+
+    def save() -> None:
+        folder.append(batch, next_index)
+        row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
+        append_row(folder.path / LOG, row)
+        batch.clear()
+        failures.clear()
+
+    began = time.monotonic()
+    with progress("plan", remaining.stop, done=remaining.start, unit="plan") as bar:
+        try:
+            plans = _plan_all(problem, config, seed, remaining, workers)
+            for i, plan in zip(remaining, plans, strict=True):
+                if isinstance(plan, Failure):
+                    nearest = plan.nearest if np.isfinite(plan.nearest) else None
+                    failures.append({"plan": i, "nearest": nearest, "reason": plan.reason})
+                else:
+                    batch.append(plan)
+                    solved += 1
+                next_index = i + 1
+                tried, minutes = next_index - remaining.start, (time.monotonic() - began) / 60
+                bar.set_postfix_str(
+                    f"{solved} of {tried} solved, {solved / minutes:.0f} a minute", refresh=False
+                )
+                bar.update()
+                if next_index % SHARD_EPISODES == 0:
+                    save()
+        finally:
+            if next_index > folder.next_index:
+                save()
+
+
+def _report_missing(folder: DemoFolder) -> None:
     missing = folder.next_index - folder.num_episodes
     if not missing:
         return
-    nearest = min((f.nearest for f in failures), default=np.inf)
-    near = f" The nearest came within {nearest:.3g} of it ({failures[-1].reason})." if failures else ""
+    rows = (json.loads(line) for line in (folder.path / LOG).read_text().splitlines())
+    failures = [failure for row in rows for failure in row["failures"]]
+    near = [failure for failure in failures if failure["nearest"] is not None]
+    closest = min(near, key=lambda failure: failure["nearest"]) if near else None
+    where = (
+        f" The nearest came within {closest['nearest']:.3g} of it ({closest['reason']})." if closest else ""
+    )
     raise PartialResult(
-        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{near} "
+        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{where} "
         f"The other {folder.num_episodes} are saved in {folder.path}."
     )
+
+
+def _check_predicate(problem: Problem) -> None:
+    """Worker processes must find it by its name, and the dataset is known by it."""
+    name = getattr(problem.predicate, "__qualname__", "<none>")
+    if problem.predicate is not None and ("<" in name or not hasattr(problem.predicate, "__module__")):
+        raise UsageError("the predicate must be a function that its module has by name, not a lambda.")
 
 
 def state_info(problem: Problem) -> StateInfo:
@@ -139,11 +177,11 @@ def _plan_all(
     problem: Problem, config: PlannerConfig, seed: int, indices: range, workers: int | None
 ) -> Iterator[Episode | Failure]:
     """The plans in order, made in worker processes."""
-    workers = min(workers or os.cpu_count() or 1, len(indices))
-    if workers == 1:
+    if workers == 0:
         for i in indices:
             yield plan_one(problem, config, seed, i)
         return
+    workers = min(workers or os.cpu_count() or 1, len(indices))
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
     with (
         _one_thread_each(),

@@ -66,6 +66,13 @@ class OMPLConfig:
     max_edge_steps: int = 10
     """... and at most this many."""
 
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        if not (self.seconds > 0 and self.iterations >= 0 and 0 <= self.goal_bias <= 1):
+            raise ValueError("ompl_seconds must be positive, ompl_goal_bias lie in [0, 1]")
+        if not 1 <= self.min_edge_steps <= self.max_edge_steps:
+            raise ValueError("ompl_min_edge_steps must lie between 1 and ompl_max_edge_steps")
+
 
 def check_ompl(planner: str, problem: Problem) -> None:
     """Checks that a planner can be used on a problem.
@@ -109,26 +116,28 @@ def plan_in_process(
     context = multiprocessing.get_context("spawn")
     receive, send = context.Pipe(duplex=False)
     box = (goal.center, goal.half, goal.weights, goal.tolerance)
-    process = context.Process(target=_child, args=(send, problem, planner, config, start, box, seed))
+    arguments = (send, problem, planner, config, start, box, seed)
+    process = context.Process(target=_child, args=arguments)
     process.start()
     send.close()
     patience = GRACE_S + (config.seconds if not config.iterations else 3600.0)
     answer: dict[str, Any] | None = None
     try:
-        if receive.poll(patience):
-            answer = receive.recv()
+        answer = receive.recv() if receive.poll(patience) else {"crash": "it overran its time"}
     except EOFError:
         answer = None  # it died without a word
+    finally:
+        receive.close()
     process.join(5.0)
     if process.is_alive():
         process.kill()
         process.join()
-    controls = np.empty((0, len(_control_names(problem))))
     if answer is None or "crash" in answer:
         why = f"exit code {process.exitcode}" if answer is None else answer["crash"]
         note = f"{planner} crashed ({why})"
         print(f"planspace: {note}; this costs one plan.", file=sys.stderr)
-        return Search(controls, False, np.inf, float(goal.distance(start)), 0, 0, note)
+        nothing = np.empty((0, 0))
+        return Search(nothing, False, np.inf, float(goal.distance(start)), 0, 0, note)
     if "error" in answer:
         raise PlanspaceError(f"{planner}: {answer['error']}")
     return Search(
@@ -140,11 +149,6 @@ def plan_in_process(
         simulated_steps=answer["steps"],
         note="" if answer["arrived"] else f"{planner} found no path in its time",
     )
-
-
-def _control_names(problem: Problem) -> list[int]:
-    model, space = problem.compile()
-    return list(range(space.num_dofs if space.kinematic else model.nu))
 
 
 def _child(

@@ -29,7 +29,7 @@ class Query:
         self.config, self.space = config, simulator.space
         self.dt = simulator.model.opt.timestep
         self.steps, self.nearest = 0, np.inf
-        self.parts = _parts(self.space)
+        self.parts = self.space.layout
         self.ompl_space = self._state_space()
 
     def solve(self, planner: str, start: np.ndarray, seed: int) -> dict[str, Any]:
@@ -37,6 +37,7 @@ class Query:
         from ompl import util
 
         util.RNG.setSeed(seed)
+        self.nearest = float(self.goal.distance(start))
         if self.space.kinematic:
             controls, arrived = self._solve_geometric(GEOMETRIC_PLANNERS[planner], start)
         else:
@@ -263,10 +264,6 @@ def _projection(query: Query, space: Any) -> Any:
                 projection[i] = float(x[column])
 
     return Positions()
-
-
-def _parts(space: StateSpace) -> list[tuple[int, int, str]]:
-    return list(space.layout)
 
 
 def _velocities(space: StateSpace, corners: list[np.ndarray], dt: float) -> np.ndarray:

@@ -22,12 +22,17 @@ from planspace.plan.sst import SST, Search, SSTConfig
 
 MAX_ATTEMPTS = 3
 """A plan that fails is tried again from another start, this many times in all."""
+MAX_REDRAWS = 1000
+"""A start that lies in the goal region is drawn again at most so many times."""
 MIN_SIMULATIONS = 64
 """The planner's simulations are at least so many, however few extensions it makes a round."""
 LANDINGS = (1.0, 0.5, 0.2)
 """A polished plan whose goal cannot be held is polished again towards these shares of the tolerance ..."""
 DEEPER_STEPS = 10
 """... with so many physics steps more."""
+PARTS = {"sst": SSTConfig, "regulator": RegulatorConfig, "polish": PolishConfig, "ompl": OMPLConfig}
+"""The parts of a planner's configuration, by the prefix of their settings."""
+LARGEST_SETTING = 1e12
 PLANNERS = ("sst", *OMPL_PLANNERS)
 """Every planner's name."""
 
@@ -50,12 +55,14 @@ class PlannerConfig:
     """OMPL's planners."""
 
     def __post_init__(self) -> None:
-        """Checks the planner's name."""
+        """Checks the planner's name and the restarts."""
         if self.planner not in PLANNERS:
-            raise unknown("planner", self.planner, PLANNERS)
+            raise unknown("planner", str(self.planner), PLANNERS)
+        if self.restarts < 1:
+            raise ValueError(f"restarts must be at least 1, got {self.restarts}")
 
     @classmethod
-    def for_problem(cls, problem: Problem, **changes: Any) -> "PlannerConfig":
+    def for_problem(cls, problem: Problem, /, **changes: Any) -> "PlannerConfig":
         """The defaults with the problem's own settings, and further changes.
 
         Args:
@@ -65,34 +72,34 @@ class PlannerConfig:
         Raises:
             UsageError: a setting that no part has.
         """
-        config = cls(planner=problem.planner)
-        given = {k: v for k, v in changes.items() if v is not None}
-        for key, value in [*problem.settings, *given.items()]:
-            config = config.changed(key, value)
-        return config
+        given = {"planner": problem.planner, **dict(problem.settings)}
+        given |= {key: value for key, value in changes.items() if value is not None}
+        defaults = cls()
+        changed: dict[str, dict[str, Any]] = {"": {}, **{name: {} for name in PARTS}}
+        for key, value in given.items():
+            part, name = _place(key)
+            default = getattr(getattr(defaults, part) if part else defaults, name)
+            changed[part][name] = value if key == "planner" else _like(default, key, value)
+        try:
+            parts = {name: replace(getattr(defaults, name), **changed[name]) for name in PARTS}
+            return replace(defaults, **changed[""], **parts)
+        except ValueError as error:
+            raise UsageError(f"settings: {error}.") from error
 
-    def changed(self, key: str, value: Any) -> "PlannerConfig":
-        """This configuration with one field changed, here or in the part that has it."""
-        parts = {"sst": self.sst, "regulator": self.regulator, "polish": self.polish, "ompl": self.ompl}
-        own = {f.name for f in fields(self)} - parts.keys()
-        if key in own:
-            return replace(self, **{key: value if key == "planner" else _like(self.restarts, key, value)})
-        for name, part in parts.items():
-            short = key.removeprefix(f"{name}_")
-            prefixed = short != key
-            if (prefixed or name == "sst") and short in {f.name for f in fields(part)}:
-                number = _like(getattr(part, short), key, value)
-                try:
-                    return replace(self, **{name: replace(part, **{short: number})})
-                except ValueError as error:
-                    raise UsageError(f"setting {key!r}: {error}.") from error
-        known = sorted(own | {f"{n}_{f.name}" for n, part in parts.items() for f in fields(part)})
+
+def _place(key: str) -> tuple[str, str]:
+    """The part and the field a setting names; those of SST need no prefix."""
+    known = {"restarts": ("", "restarts"), "planner": ("", "planner")}
+    for part, kind in PARTS.items():
+        known |= {f"{part}_{f.name}": (part, f.name) for f in fields(kind)}
+    if key not in known and f"sst_{key}" not in known:
         raise unknown("setting", key, known)
+    return known.get(key) or known[f"sst_{key}"]
 
 
 def _like(default: int | float, key: str, value: Any) -> int | float:
     """A number from a file or the command line, whole where the default is."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_SETTING:
         raise UsageError(f"setting {key!r} takes a number, got {value!r}.")
     if isinstance(default, int) and value != int(value):
         raise UsageError(f"setting {key!r} takes a whole number, got {value!r}.")
@@ -125,7 +132,7 @@ class Planner:
         self.simulator = Simulator(
             self.model,
             self.space,
-            max(config.sst.extensions, MIN_SIMULATIONS),
+            max(config.sst.extensions, config.sst.tail_candidates, MIN_SIMULATIONS),
             threads=threads,
             validity=problem.validity,
         )
@@ -139,7 +146,11 @@ class Planner:
         for attempt in range(MAX_ATTEMPTS):
             rng = np.random.default_rng(np.random.SeedSequence([seed, index, attempt]))
             start = self.problem.draw_start(self.simulator, rng)
-            goal = self.problem.draw_goal(self.space, rng)
+            goal = self.problem.draw_goal(self.space, rng, self.simulator)
+            for _ in range(MAX_REDRAWS):  # a start inside the goal region is no demonstration
+                if not goal.reached(start):
+                    break
+                start = self.problem.draw_start(self.simulator, rng)
             found = self.connect(start, goal, rng)
             if not isinstance(found, Failure):
                 times = np.arange(len(found.states)) * self.model.opt.timestep
@@ -155,6 +166,8 @@ class Planner:
         self, start: Float[np.ndarray, " state"], goal: Goal, rng: np.random.Generator
     ) -> Trajectory | Failure:
         """The cheapest verified plan of some searches from one start."""
+        if goal.reached(start):
+            return Failure(0.0, "the start lies in the goal region")
         regulator = Regulator(self.simulator, goal, self.weights, self.config.regulator)
         best, nearest, reason = None, np.inf, ""
         for _ in range(self.config.restarts if self.config.planner == "sst" else 1):
@@ -236,18 +249,21 @@ class Planner:
             states.append(advance(model, data, space, control))
         if not regulator.goal.reached(states[-1]):
             return "the path does not arrive when replayed"
-        if len(states) == 1:
-            return "the start lies in the goal region"
         if any(w.number for w in data.warning) or not self._all_valid(np.stack(states)):
             return "the path leaves what is valid when replayed"
-        held = states[-1]
-        for control in controls[len(states) - 1 :]:
-            held = advance(model, data, space, control)
-        for _ in range(regulator.config.hold_steps if self.problem.hold else 0):
-            held = advance(model, data, space, regulator.control(held))
-        if not regulator.goal.reached(held):
+        if self.problem.hold and not self._holds(regulator, data, states[-1], controls[len(states) - 1 :]):
             return "the goal cannot be held (hold: false plans without)"
         return Trajectory(np.stack(states), controls[: len(states) - 1])
+
+    def _holds(self, regulator: Regulator, data: mujoco.MjData, state: np.ndarray, rest: np.ndarray) -> bool:
+        """Whether the rest of the controls and then the regulator stay valid and end in the goal region."""
+        held = [state]
+        for control in rest:
+            held.append(advance(self.model, data, self.space, control))
+        for _ in range(regulator.config.hold_steps):
+            held.append(advance(self.model, data, self.space, regulator.control(held[-1])))
+        valid = not any(w.number for w in data.warning) and self._all_valid(np.stack(held))
+        return valid and bool(regulator.goal.reached(held[-1]))
 
     def _all_valid(self, states: np.ndarray) -> bool:
         size = self.simulator.num

@@ -64,6 +64,13 @@ class PolishConfig:
     tracking_cost: float = 0.01
     """Cost of the largest control in the feedback, beside the feature-weighted states; small is stiff."""
 
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        if self.max_iterations < 0 or self.max_blocks < 1:
+            raise ValueError("polish_max_blocks must be at least 1, polish_max_iterations not negative")
+        if not (0 < self.landing <= 1 and self.tracking_cost > 0):
+            raise ValueError("polish_landing must lie in (0, 1], polish_tracking_cost must be positive")
+
 
 class Trajectory(NamedTuple):
     """States and the controls between them, one a block."""

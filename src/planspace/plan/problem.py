@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulate import GeomPairs, Simulator, Validity, load_model
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.store import json_hash
@@ -104,11 +104,15 @@ class Problem:
         return Validity(self.forbidden_contacts, self.predicate)
 
     def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
-        """Compiles the model and reads its state space."""
+        """Compiles the model and reads its state space.
+
+        Raises:
+            PlanspaceError: the model does not compile.
+            UsageError: a joint, a geom or a bound does not fit the model.
+        """
         model = load_model(self.mjcf, self.validity.pairs)
         if self.control_bounds is not None:
-            model.actuator_ctrllimited[:] = 1
-            model.actuator_ctrlrange[:] = np.transpose([self.control_bounds.low, self.control_bounds.high])
+            self._narrow_controls(model, self.control_bounds)
         bound = self.velocity_bound
         space = StateSpace.from_model(
             model,
@@ -118,6 +122,18 @@ class Problem:
             kinematic=self.kinematic,
         )
         return model, space
+
+    def _narrow_controls(self, model: mujoco.MjModel, bounds: Box) -> None:
+        low, high = np.array(bounds.low), np.array(bounds.high)
+        if self.kinematic:
+            raise UsageError("control_bounds: a kinematic problem's controls are bounded by velocity_bound.")
+        if len(low) != model.nu:
+            raise UsageError(f"control_bounds has {len(low)} numbers; the model has {model.nu} actuators.")
+        limited, (least, most) = model.actuator_ctrllimited.astype(bool), model.actuator_ctrlrange.T
+        if (low >= high).any() or (limited & ((low < least) | (high > most))).any():
+            raise UsageError("control_bounds must have low < high, within the model's own control ranges.")
+        model.actuator_ctrllimited[:] = 1
+        model.actuator_ctrlrange[:] = np.transpose([low, high])
 
     def speed(self, space: StateSpace) -> Float[np.ndarray, " dof"]:
         """How fast exploration goes, for each degree of freedom [m/s or rad/s]."""
@@ -146,12 +162,28 @@ class Problem:
             "bounds, or refused by the predicate."
         )
 
-    def draw_goal(self, space: StateSpace, rng: np.random.Generator) -> Goal:
-        """The goal of one plan."""
+    def draw_goal(
+        self, space: StateSpace, rng: np.random.Generator, simulator: Simulator | None = None
+    ) -> Goal:
+        """The goal of one plan.
+
+        Args:
+            space: the problem's state space.
+            rng: draws a random goal.
+            simulator: to draw a random goal again until it is valid; overwritten.
+
+        Raises:
+            PlanspaceError: no valid goal was found.
+        """
         weights = np.array(self.goal_weights) if self.goal_weights else np.ones(space.tangent_size)
         if self.goal_random:
-            center = space.normalise(self.goal.sample(rng))
-            return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
+            for _ in range(START_DRAWS):
+                center = space.normalise(self.goal.sample(rng))
+                if simulator is None or simulator.valid_states(center[None])[0]:
+                    return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
+            raise PlanspaceError(
+                f"problem {self.name}: no valid goal in {START_DRAWS} draws: all are in collision or refused."
+            )
         low, high = space.normalise(np.array(self.goal.low)), space.normalise(np.array(self.goal.high))
         half = 0.5 * _straight_difference(space, low, high)
         return Goal(space, space.integrate(low, half), half, weights, self.tolerance)
@@ -175,9 +207,9 @@ class Problem:
 def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """High - low as a tangent, without taking the short way round a circle: a box may span it."""
     delta = space.difference(high, low)
-    for column in space.circular_columns:
-        if high[column] - low[column] > np.pi:
-            delta[column] = high[column] - low[column]
+    for state, tangent, kind in space.layout:
+        if kind == "circle":
+            delta[tangent] = high[state] - low[state]
     return delta
 
 

@@ -1,5 +1,8 @@
 """Problem files: YAML, read strictly, and the layout of 2020."""
 
+import math
+import reprlib
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
@@ -10,12 +13,14 @@ import yaml
 
 from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.physics.mjcf import read_model
-from planspace.physics.simulate import ASSETS, GeomPairs, control_bounds, load_model
+from planspace.physics.simulate import ASSETS, GeomPairs, Simulator, control_bounds, load_model
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.plan.problem import Box, Problem
 from planspace.store import read_bytes
 
 MAX_FILE_BYTES = 1 << 20
+MAX_SHOWN = 80
+"""Characters of a value in a message."""
 TOLERANCE_2020 = 0.1
 """The goal threshold of the 2020 planner, which its problem files do not name."""
 
@@ -52,6 +57,8 @@ def load_problem(name_or_file: str) -> Problem:
         return _read_problem(ASSETS / f"{name_or_file}.yaml")
     if name_or_file.endswith((".yaml", ".yml")):
         return _read_problem(Path(name_or_file))
+    if Path(name_or_file).is_file():
+        raise UsageError(f"{name_or_file} is no problem file: its name should end in .yaml.")
     raise unknown("problem", name_or_file, shipped_problems())
 
 
@@ -59,7 +66,7 @@ def _read_problem(path: Path) -> Problem:
     settings = _read_yaml(path)
     try:
         problem = _from_2020(path, settings) if "mujoco_config" in settings else _from_keys(path, settings)
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
+    except ValueError as error:
         raise PlanspaceError(f"{path}: {error}") from error
     _check(problem, path)
     return problem
@@ -69,31 +76,28 @@ def _from_keys(path: Path, settings: dict[str, Any]) -> Problem:
     required = {"model", "joints", "start", "goal", "tolerance"}
     known = {f.name for f in fields(Problem)} - {"name", "mjcf", "goal_random", "predicate"} | required
     _check_keys(path, settings, known, required)
-    joints = tuple(str(name) for name in settings["joints"])
-    goal = settings["goal"]
-    bound = settings.get("velocity_bound", DEFAULT_VELOCITY_BOUND)
+    joints = _read(settings, "joints", _names)
+    goal, goal_random = _read(settings, "goal", _goal)
     return Problem(
         name=path.stem,
-        mjcf=read_model(_beside(path, str(settings["model"])), joints),
+        mjcf=read_model(_beside(path, _read(settings, "model", _text)), joints),
         joints=joints,
-        start=_box(settings["start"]),
-        goal=_box(goal),
-        goal_random=isinstance(goal, dict) and _flag(goal, "random", False),
-        tolerance=float(settings["tolerance"]),
-        goal_weights=_numbers(settings.get("goal_weights", [])),
-        feature_weights=_numbers(settings.get("feature_weights", [])),
-        sample_velocity=_numbers(settings.get("sample_velocity", [])),
-        velocity_bound=_numbers(bound if isinstance(bound, list) else [bound]),
-        position_bounds=tuple(
-            (str(name), *_sides(value)) for name, value in settings.get("position_bounds", {}).items()
-        ),
-        control_bounds=_box(settings["control_bounds"]) if "control_bounds" in settings else None,
-        forbidden_contacts=_contacts(settings.get("forbidden_contacts", "none")),
-        hold=_flag(settings, "hold", True),
-        kinematic=_flag(settings, "kinematic", False),
-        cost=_cost(settings.get("cost", "duration")),
-        planner=str(settings.get("planner", "sst")),
-        settings=tuple(sorted(dict(settings.get("settings", {})).items())),
+        start=_read(settings, "start", _box),
+        goal=goal,
+        goal_random=goal_random,
+        tolerance=_read(settings, "tolerance", _positive),
+        goal_weights=_read(settings, "goal_weights", _weights, ()),
+        feature_weights=_read(settings, "feature_weights", _weights, ()),
+        sample_velocity=_read(settings, "sample_velocity", _speeds, ()),
+        velocity_bound=_read(settings, "velocity_bound", _speeds, (DEFAULT_VELOCITY_BOUND,)),
+        position_bounds=_read(settings, "position_bounds", _position_bounds, ()),
+        control_bounds=_read(settings, "control_bounds", _box, None),
+        forbidden_contacts=_read(settings, "forbidden_contacts", _contacts, "none"),
+        hold=_read(settings, "hold", _flag, True),
+        kinematic=_read(settings, "kinematic", _flag, False),
+        cost=_read(settings, "cost", _cost, "duration"),
+        planner=_read(settings, "planner", _text, "sst"),
+        settings=_read(settings, "settings", _settings, ()),
     )
 
 
@@ -104,24 +108,26 @@ def _from_2020(path: Path, settings: dict[str, Any]) -> Problem:
     time limit belong to OMPL's metric and planner, so they go to that one; ours takes its own settings.
     """
     _check_keys(path, settings, KEYS_2020, {"mujoco_config", "start", "goal"})
-    mjcf = read_model(_beside(path, str(settings["mujoco_config"])))
+    mjcf = read_model(_beside(path, _read(settings, "mujoco_config", _text)))
     model = load_model(mjcf)
-    center = np.array(_numbers(settings["start"]))
-    reach = np.abs(_numbers(settings.get("start_range", [0.0] * len(center))))
+    center = np.array(_read(settings, "start", _numbers))
+    reach = np.abs(_read(settings, "start_range", _numbers, (0.0,) * len(center)))
+    if len(reach) != len(center):
+        raise ValueError(f"start_range: has {len(reach)} numbers, start has {len(center)}")
     ompl = {
-        "selection_radius": settings.get("sst_selection_radius"),
-        "pruning_radius": settings.get("sst_pruning_radius"),
-        "seconds": settings.get("time_limit"),
+        "selection_radius": _read(settings, "sst_selection_radius", _positive, None),
+        "pruning_radius": _read(settings, "sst_pruning_radius", _positive, None),
+        "seconds": _read(settings, "time_limit", _positive, None),
     }
     return Problem(
         name=path.stem,
         mjcf=mjcf,
         joints=tuple(model.joint(i).name for i in range(model.njnt)),
         start=Box(tuple((center - reach).tolist()), tuple((center + reach).tolist())),
-        goal=_box(settings["goal"]),
+        goal=_read(settings, "goal", _box),
         tolerance=TOLERANCE_2020,
-        planner=_planner_2020(str(settings.get("planner", "sst"))),
-        settings=tuple((f"ompl_{key}", float(value)) for key, value in ompl.items() if value is not None),
+        planner=_planner_2020(_read(settings, "planner", _text, "sst")),
+        settings=tuple((f"ompl_{key}", value) for key, value in ompl.items() if value is not None),
     )
 
 
@@ -154,12 +160,24 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if len(data) > MAX_FILE_BYTES:
         raise PlanspaceError(f"{path} has {len(data)} bytes; a problem file has at most {MAX_FILE_BYTES}.")
     try:
-        settings = yaml.safe_load(data)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        settings = yaml.load(data, Loader=_StrictLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise PlanspaceError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(settings, dict):
         raise PlanspaceError(f"{path} should hold keys and values, got a {type(settings).__name__}.")
     return settings
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML's safe loader, which does not take a key twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Refuses a key that came before."""
+        keys = [key.value for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} comes twice")
+        return super().construct_mapping(node, deep)
 
 
 def _check(problem: Problem, path: Path) -> None:
@@ -167,14 +185,12 @@ def _check(problem: Problem, path: Path) -> None:
         model, space = problem.compile()
     except PlanspaceError as error:
         raise UsageError(f"{path}: {error}") from error
-    controls = space.num_dofs if space.kinematic else model.nu
     sizes = [
         ("start", problem.start.low, space.size),
         ("goal", problem.goal.low, space.size),
         ("goal_weights", problem.goal_weights, space.tangent_size),
         ("feature_weights", problem.feature_weights, space.tangent_size),
         ("sample_velocity", problem.sample_velocity, space.num_dofs),
-        ("control_bounds", problem.control_bounds.low if problem.control_bounds else (), controls),
     ]
     for key, got, wanted in sizes:
         if len(got) not in ((wanted,) if key in ("start", "goal") else (0, wanted)):
@@ -182,26 +198,52 @@ def _check(problem: Problem, path: Path) -> None:
     for key, box in (("start", problem.start), ("goal", problem.goal)):
         if not space.in_bounds(space.normalise(np.array([box.low, box.high]))).all():
             raise PlanspaceError(f"{path}: {key} reaches outside the joint limits or the velocity bound.")
-    _check_finite(problem, model, space, path)
-
-
-def _check_finite(problem: Problem, model: mujoco.MjModel, space: StateSpace, path: Path) -> None:
-    """A planner draws positions and controls, so all of them need bounds."""
     if model.nu == 0 and not space.kinematic:
         raise PlanspaceError(
             f"{path}: no actuator is left that moves its joints; there is nothing to control."
         )
     if not np.isfinite(control_bounds(model, space)).all():
         raise PlanspaceError(f"{path}: an actuator has no control range; give control_bounds.")
-    for joint, kind in zip(space.joints, space.kinds, strict=True):
-        part = StateSpace.from_model(
-            model,
-            [joint],
-            position_bounds={n: (a, b) for n, a, b in problem.position_bounds if n == joint},
-        )
-        numbers = {"slide": 1, "hinge": 1, "free": 3}.get(kind, 0)
-        if not (np.isfinite(part.low[:numbers]).all() and np.isfinite(part.high[:numbers]).all()):
-            raise PlanspaceError(f"{path}: joint {joint!r} has no limits; give it position_bounds.")
+    free = [space.names[s] for s in space.unbounded]
+    if free:
+        raise PlanspaceError(f"{path}: {free[0]!r} has no limits; give its joint position_bounds.")
+    _check_goal(problem, model, space, path)
+
+
+def _check_goal(problem: Problem, model: mujoco.MjModel, space: StateSpace, path: Path) -> None:
+    """A goal that is no target, or that nothing may enter, is said before a search is wasted on it."""
+    if problem.goal_random:
+        return
+    for column in space.quaternion_columns:
+        if problem.goal.low[column : column + 4] != problem.goal.high[column : column + 4]:
+            raise PlanspaceError(
+                f"{path}: goal: a box cannot span rotations; leave directions free by goal_weights."
+            )
+    simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
+    center = problem.draw_goal(space, np.random.default_rng(0)).center
+    if not simulator.valid_states(center[None])[0]:
+        raise PlanspaceError(f"{path}: goal: it is in collision, or the predicate refuses it.")
+
+
+# --- one value ---------------------------------------------------------------------------------------
+
+_REQUIRED = object()
+
+
+def _read(settings: dict[str, Any], key: str, reader: Callable[[Any], Any], default: Any = _REQUIRED) -> Any:
+    """One value, or its default; what is wrong with it is said with its key.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    if key not in settings and default is not _REQUIRED:
+        return default
+    try:
+        return reader(settings[key])
+    except KeyError as error:
+        raise ValueError(f"{key}: it has no {error}") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{key}: {error}") from error
 
 
 def _box(value: Any) -> Box:
@@ -209,42 +251,97 @@ def _box(value: Any) -> Box:
     return Box(low, high)
 
 
-def _sides(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _goal(value: Any) -> tuple[Box, bool]:
+    """The box, and whether a goal is drawn from it."""
+    if not isinstance(value, dict):
+        return _box(value), False
+    return _box({k: v for k, v in value.items() if k != "random"}), _flag(value.get("random", False))
+
+
+def _sides(value: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     for key in value:
-        if key not in ("low", "high", "random"):
-            raise ValueError(str(unknown("key of a box", str(key), ["low", "high", "random"])))
+        if key not in ("low", "high"):
+            raise ValueError(str(unknown("key of a box", str(key), ["low", "high"])))
     low, high = _numbers(value["low"]), _numbers(value["high"])
     if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"a box needs low <= high, number by number; got {low} and {high}")
+        raise ValueError(f"a box needs low <= high, number by number; got {_short(value)}")
     return low, high
+
+
+def _position_bounds(value: Any) -> tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...]:
+    return tuple((str(name), *_sides(box)) for name, box in value.items())
 
 
 def _contacts(value: Any) -> Literal["none", "all"] | GeomPairs:
     if value in ("none", "all"):
         return value
-    pairs = () if isinstance(value, str) else tuple(tuple(str(name) for name in pair) for pair in value)
+    pairs = tuple(_names(pair) for pair in value) if isinstance(value, list) else ()
     if not pairs or any(len(pair) != 2 for pair in pairs):
-        raise ValueError("forbidden_contacts is none, all, or a list of pairs of geoms")
+        raise ValueError("it is none, all, or a list of pairs of geoms")
     return pairs  # pyright: ignore[reportReturnType]
+
+
+def _settings(value: Any) -> tuple[tuple[str, Any], ...]:
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise TypeError(f"expected keys and values, got {_short(value)}")
+    return tuple(sorted(value.items()))
 
 
 def _cost(value: Any) -> Literal["duration", "effort"]:
     if value not in ("duration", "effort"):
-        raise ValueError(str(unknown("cost", str(value), ["duration", "effort"])))
+        raise ValueError(str(unknown("cost", str(value)[:40], ["duration", "effort"])))
     return value
 
 
-def _flag(settings: dict[str, Any], key: str, default: bool) -> bool:
-    value = settings.get(key, default)
+def _flag(value: Any) -> bool:
     if not isinstance(value, bool):
-        raise TypeError(f"{key} is true or false, got {value!r}")
+        raise TypeError(f"it is true or false, got {_short(value)}")
     return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"expected a name, got {_short(value)}")
+    return value
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value:
+        raise TypeError(f"expected a list of names, got {_short(value)}")
+    return tuple(_text(name) for name in value)
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
     if not isinstance(value, list):
-        raise TypeError(f"expected a list of numbers, got {value!r}")
-    numbers = tuple(float(v) for v in value)
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"expected finite numbers, got {value!r}")
-    return numbers
+        raise TypeError(f"expected a list of numbers, got {_short(value)}")
+    return tuple(_number(v) for v in value)
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"expected finite numbers, got {_short(value)}")
+    return float(value)
+
+
+def _positive(value: Any) -> float:
+    if not _number(value) > 0:
+        raise ValueError(f"it must be positive, got {_short(value)}")
+    return float(value)
+
+
+def _weights(value: Any) -> tuple[float, ...]:
+    if any(number < 0 for number in _numbers(value)):
+        raise ValueError(f"weights are not negative, got {_short(value)}")
+    return _numbers(value)
+
+
+def _speeds(value: Any) -> tuple[float, ...]:
+    speeds = _numbers(value if isinstance(value, list) else [value])
+    if any(number <= 0 for number in speeds):
+        raise ValueError(f"speeds are positive, got {_short(value)}")
+    return speeds
+
+
+def _short(value: Any) -> str:
+    """A value for a message: YAML's aliases can make a small file's value endless."""
+    return reprlib.repr(value)[:MAX_SHOWN]

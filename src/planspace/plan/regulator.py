@@ -30,7 +30,14 @@ class RegulatorConfig:
     max_steps: int = 75
     """The regulator has this many physics steps to arrive."""
     hold_steps: int = 50
-    """A goal that is to be held must still be reached this many physics steps after arriving."""
+    """A goal that is to be held must be reached this many physics steps after arriving, too."""
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        if self.max_steps < 1 or self.hold_steps < 0:
+            raise ValueError("regulator_max_steps must be at least 1, regulator_hold_steps not negative")
+        if not (self.control_cost > 0 and self.velocity_cost >= 0):
+            raise ValueError("regulator_control_cost must be positive, regulator_velocity_cost not negative")
 
 
 class Regulator:

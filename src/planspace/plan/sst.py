@@ -63,8 +63,14 @@ class SSTConfig:
             raise ValueError(
                 f"min_edge_steps must be at most {self.max_edge_steps}, got {self.min_edge_steps}"
             )
-        if not (0 < self.shrink <= 1 and self.shrink_every >= 1):
+        if min(self.shrink_every, self.tail_every, self.tail_candidates) < 1 or self.seconds < 0:
+            raise ValueError("shrink_every, tail_every and tail_candidates must be at least 1, seconds 0")
+        if not 0 < self.shrink <= 1:
             raise ValueError(f"shrink must lie in (0, 1], got {self.shrink}")
+        if not (0 <= self.goal_bias <= 1 and 0 <= self.bang_bang <= 1):
+            raise ValueError("goal_bias and bang_bang are shares: they must lie in [0, 1]")
+        if not (self.witness_size > 0 and self.selection_radius >= 0):
+            raise ValueError("witness_size must be positive, selection_radius not negative")
 
 
 @dataclass(frozen=True)
@@ -123,8 +129,8 @@ class SST:
         tree = Tree(start, self.problem, self.simulator, c.witness_size)
         radius, steps = c.selection_radius, 0
         finish = _Finish(self, tree)
-        new = [np.array([0])]
-        finish.consider(new.pop())
+        finish.consider(np.array([0]))
+        new: list[np.ndarray] = []
         for round_index in range(c.max_rounds if not c.seconds else 1 << 30):
             if c.seconds:
                 if time.monotonic() - began > c.seconds:
