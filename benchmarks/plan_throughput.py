@@ -1,9 +1,9 @@
 """Simulated steps a second inside SST*, against bare `mujoco.batch` stepping of as many simulations.
 
-    python benchmarks/plan_throughput.py [REPEATS]
+    python benchmarks/plan_throughput.py [REPEATS [ROUNDS]]
 
 Both are timed in turn in one process, on all cores; the ratio is taken pair by pair. SST* searches for 60
-rounds with everything it does: selection, pruning, extension, and the regulator's tries to finish.
+rounds (or ROUNDS) with all it does: selection, pruning, extension, and the regulator's tries to finish.
 """
 
 import sys
@@ -19,7 +19,7 @@ from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
 
 PROBLEMS = ("cartpole-swingup", "reacher", "pendulum", "acrobot", "quadrotor", "arm")
-ROUNDS = 60
+ROUNDS = int(sys.argv[2]) if len(sys.argv) > 2 else 60
 
 
 def search_rate(problem: Problem, seed: int) -> tuple[float, int]:
