@@ -6,6 +6,7 @@ import pytest
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulate import ASSETS, Simulator
+from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem import Box
 from planspace.plan.problem_file import load_problem, shipped_problems
@@ -205,7 +206,7 @@ def test_settings_reach_the_parts_they_name() -> None:
         PlannerConfig.for_problem(problem, planner="ompl-rtt")
 
 
-def test_a_start_always_in_collision_is_said(rng: np.random.Generator) -> None:
+def test_a_start_always_in_collision_is_said(rng: np.random.Generator, tmp_path: Path) -> None:
     problem = load_problem("arm")
     inside_post = (0.0, 1.57, 0.0, 0.0, *[0.0] * 10)
     problem = replace(problem, start=Box(inside_post, inside_post))
@@ -213,6 +214,9 @@ def test_a_start_always_in_collision_is_said(rng: np.random.Generator) -> None:
     simulator = Simulator(model, space, 4, threads=1, validity=problem.validity)
     with pytest.raises(PlanspaceError, match="problem arm: no valid start in 1000 draws: .*collision"):
         problem.draw_start(simulator, rng)
+    with pytest.raises(PlanspaceError, match="no valid start"):
+        generate(problem, tmp_path / "demos", num=1, seed=0)
+    assert not (tmp_path / "demos").exists()
 
 
 def test_a_goal_that_may_not_be_entered_and_one_that_spans_rotations_are_said(tmp_path: Path) -> None:

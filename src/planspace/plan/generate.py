@@ -18,6 +18,7 @@ import numpy as np
 import planspace
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
 from planspace.errors import PartialResult, UsageError
+from planspace.physics.simulate import Simulator
 from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.plan.problem import Problem
@@ -61,6 +62,7 @@ def generate(
     """
     config = config or PlannerConfig.for_problem(problem)
     _check_predicate(problem)
+    _check_start(problem)
     if config.planner != "sst":
         check_ompl(config.planner, problem)
     folder = DemoFolder(
@@ -145,6 +147,13 @@ def _check_predicate(problem: Problem) -> None:
     name = getattr(problem.predicate, "__qualname__", "<none>")
     if problem.predicate is not None and ("<" in name or not hasattr(problem.predicate, "__module__")):
         raise UsageError("the predicate must be a function that its module has by name, not a lambda.")
+
+
+def _check_start(problem: Problem) -> None:
+    """A problem without a valid start is refused before anything is written."""
+    model, space = problem.compile()
+    simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
+    problem.draw_start(simulator, np.random.default_rng(0))
 
 
 def state_info(problem: Problem) -> StateInfo:
