@@ -147,16 +147,16 @@ class Polish:
 
     def _land(self, plan: Trajectory) -> Trajectory | None:
         landed = self._cut(plan)
-        return landed if landed is not None else self._aim(plan, len(plan.controls))
+        return landed if landed is not None else self._aim(plan, len(plan.controls), self._model(plan))
 
     def _shorten(self, best: Trajectory) -> Trajectory:
         while self._left > 0 and len(best.controls) > 1:
-            length = len(best.controls)
-            horizon = self._reachable(best)
-            shorter = self._aim(best, horizon)
+            length, model = len(best.controls), self._model(best)
+            horizon = self._reachable(best, model)
+            shorter = self._aim(best, horizon, model)
             while shorter is None and horizon < length - 1:
                 horizon, self._radius = max(horizon + 1, (horizon + length) // 2), 1.0
-                shorter = self._aim(best, min(horizon, length - 1))
+                shorter = self._aim(best, min(horizon, length - 1), model)
             if shorter is None:
                 return best
             best = shorter
@@ -164,13 +164,14 @@ class Polish:
 
     def _lighten(self, best: Trajectory) -> Trajectory:
         """Minimises the effort at a fixed duration."""
-        misses = 0
+        misses, model = 0, self._model(best)
         while self._left > 0 and misses < PATIENCE:
-            lighter = self._change(best, len(best.controls), self._model(best), effort=True)
+            lighter = self._change(best, len(best.controls), model, effort=True)
             valid = [self._cut(plan) for _, plan in lighter]
             valid = [plan for plan in valid if plan is not None and self._spent(plan) < self._spent(best)]
             if valid:
                 best, misses = min(valid, key=self._spent), 0
+                model = self._model(best)
             else:
                 misses += 1
                 self._trust(0.0)
@@ -179,9 +180,8 @@ class Polish:
     def _spent(self, plan: Trajectory) -> float:
         return float(np.abs(plan.controls / np.maximum(np.abs(self._low), np.abs(self._high))).sum())
 
-    def _reachable(self, plan: Trajectory) -> int:
+    def _reachable(self, plan: Trajectory, model: _Model) -> int:
         """The shortest horizon at which the linear model reaches the goal within the trust region."""
-        model = self._model(plan)
         low, high = max(1, int(SHORTEST * len(plan.controls))), len(plan.controls) - 1
         while low < high:
             middle = (low + high) // 2
@@ -192,9 +192,9 @@ class Polish:
                 low = middle + 1
         return high
 
-    def _aim(self, plan: Trajectory, horizon: int) -> Trajectory | None:
+    def _aim(self, plan: Trajectory, horizon: int, model: _Model) -> Trajectory | None:
         """Changes a plan until it reaches the goal by the horizon; None when that gets nowhere."""
-        stalled, model = 0, self._model(plan)
+        stalled = 0
         before = float(self.goal.distance(plan.states[horizon]))
         while self._left > 0 and stalled < PATIENCE:
             tried = self._change(plan, horizon, model, effort=False)
@@ -360,22 +360,21 @@ class Polish:
 
     def _follow(self, start: np.ndarray, controls: np.ndarray, guess: np.ndarray) -> Trajectory:
         """The plan in blocks; where a block is several steps, feedback keeps it on the states of the plan."""
-        plan = self._open_loop(start, controls, 1)
+        plan = self._open_loop(start, controls)
         if self._stride == 1:
             return plan
         states = plan.states[:: self._stride][: len(guess)]
-        model = self._model(Trajectory(np.concatenate([states, plan.states[-1:]]), guess))
-        still = np.zeros_like(guess)
         path = Trajectory(np.concatenate([states, plan.states[-1:]]), guess)
         promised = np.zeros((len(guess) + 1, self.space.tangent_size))
-        followed, applied, _ = self._closed_loop(path, model.gains, still, promised)
+        gains = self._model(path).gains
+        followed, applied, _ = self._closed_loop(path, gains, np.zeros_like(guess), promised)
         return Trajectory(followed[0], applied[0])
 
-    def _open_loop(self, start: np.ndarray, controls: np.ndarray, stride: int) -> Trajectory:
+    def _open_loop(self, start: np.ndarray, controls: np.ndarray) -> Trajectory:
         states, ids = [start], np.array([0], dtype=np.int32)
         self.simulator.reset(start[None], ids)
         for control in controls:
-            self.simulator.step(control[None], stride, ids=ids)
+            self.simulator.step(control[None], ids=ids)
             states.append(self.simulator.states()[0])
         return Trajectory(np.stack(states), controls)
 
