@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, load_demos
+from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding
-from planspace.embed.fit import PRESETS, fit
+from planspace.embed.fit import fit
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import PolishConfig

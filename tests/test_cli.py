@@ -1,6 +1,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from planspace.cli import main
 
-VERBS = ["run", "plan", "demos", "embed", "measure", "train", "report", "doctor"]
+VERBS = ["run", "plan", "demos", "embed", "measure", "export", "train", "report", "doctor"]
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
@@ -57,6 +58,8 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["demos", "import", "a.csv", "--dt", "0", "--out", "x"], "--dt must be a positive number"),
         (["demos", "import", "a.out", "--out", "x"], "give --problem"),
         (["measure"], "Missing from planspace measure: EMBEDDING"),
+        (["export", "e"], "Missing from planspace export: FILE"),
+        (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(
@@ -179,6 +182,56 @@ def test_measuring_other_demos_names_both(
     assert call(capsys, "demos", "import", tmp_path / "other.npz", "--out", tmp_path / "other")[0] == 0
     code, _, err = call(capsys, "measure", embedding_folder, tmp_path / "other")
     assert code == 1 and "(slider, hinge, slidervel, hingevel)" in err and "(state0, state1)" in err
+
+
+def test_measuring_draws_the_figures(
+    capsys: pytest.CaptureFixture[str], embedding_folder: Path, demo_folder: Path, tmp_path: Path
+) -> None:
+    pictures = tmp_path / "deep" / "pictures"
+    code, out, _ = call(capsys, "measure", embedding_folder, demo_folder, "--plot", pictures)
+    assert code == 0 and re.search(rf"^figures +{re.escape(str(pictures))}$", out, flags=re.MULTILINE)
+    names = [f"{name}.{ending}" for name in ("distance", "paths", "training") for ending in ("png", "svg")]
+    assert sorted(f.name for f in pictures.iterdir()) == sorted([*names, "paths.html"])
+    assert all(f.read_bytes()[1:4] == b"PNG" for f in pictures.glob("*.png"))
+    page = (pictures / "paths.html").read_text()
+    assert "<title>A demonstration of cartpole-swingup in plan space" in page  # the test split has one
+
+
+def test_other_demos_are_drawn_whole_and_json_stays_json(
+    capsys: pytest.CaptureFixture[str], embedding_folder: Path, demos, tmp_path: Path
+) -> None:
+    from planspace.demos.dataset import DemoFolder
+
+    DemoFolder(tmp_path / "other", demos.info, {}).append([demos.episode(i) for i in (0, 1, 2)], 3)
+    shutil.copytree(embedding_folder, tmp_path / "e", ignore=shutil.ignore_patterns("log.jsonl"))
+    command = ["measure", tmp_path / "e", tmp_path / "other", "--plot", tmp_path / "p", "--json"]
+    code, out, _ = call(capsys, *command)
+    assert code == 0 and json.loads(out)["figures"] == str(tmp_path / "p")
+    assert "<title>3 demonstrations of" in (tmp_path / "p" / "paths.html").read_text()
+    assert not (tmp_path / "p" / "training.png").exists()  # there is no log to draw
+    (tmp_path / "file").touch()
+    code, out, err = call(capsys, *command[:3], "--plot", tmp_path / "file")
+    assert (code, out) == (1, "") and "cannot write" in err and len(err.splitlines()) == 1
+
+
+def test_an_embedding_goes_out_as_onnx(
+    capsys: pytest.CaptureFixture[str], embedding_folder: Path, tmp_path: Path
+) -> None:
+    onnx = pytest.importorskip("onnx")
+    file = tmp_path / "e.onnx"
+    assert call(capsys, "export", embedding_folder, file, "--to", "onnx") == (0, f"{file}\n", "")
+    assert [output.name for output in onnx.load(file).graph.output] == ["mu", "sigma"]
+    code, out, err = call(capsys, "export", embedding_folder, file)
+    assert (code, out) == (1, "")
+    assert err == f"planspace: {file} exists already; choose another file, or remove it first.\n"
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("onnx", "onnxruntime", "tensorboard", "matplotlib", "plotly", "jax")
+    code = "import sys; from planspace.cli import main; main(['measure', '--help']); "
+    code += f"print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_an_altered_shard_is_named(capsys: pytest.CaptureFixture[str], demos, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ ORDER = ["demos", "plan", "embed", "envs", "rl", "study"]
 
 def test_importing_planspace_is_light() -> None:
     code = "import sys, planspace, planspace.envs.wrappers as _; "
-    code += "print([m for m in ('jax', 'matplotlib') if m in sys.modules])"
+    code += "print([m for m in ('jax', 'mujoco', 'matplotlib', 'onnx') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -38,3 +38,10 @@ def test_nothing_is_pickled() -> None:
     for file in SOURCE.rglob("*.py"):
         assert not imports(file) & forbidden
         assert "allow_pickle=True" not in file.read_text()
+
+
+def test_gymnasium_names_are_those_of_the_tasks() -> None:
+    from planspace.envs import ENVIRONMENTS
+    from planspace.tasks import TASKS
+
+    assert {task.env_id: (task.name, task.horizon) for task in TASKS.values()} == ENVIRONMENTS

@@ -2,10 +2,14 @@
 
 __version__ = "0.1.0"
 
-from planspace.demos.dataset import Demos, load_demos
+from typing import TYPE_CHECKING, Any
+
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.envs import register_tasks
 from planspace.errors import PartialResult, PlanspaceError, UsageError
+
+if TYPE_CHECKING:
+    from planspace.demos.dataset import Demos, load_demos
 
 register_tasks()
 
@@ -18,3 +22,12 @@ __all__ = [
     "load_demos",
     "load_embedding",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Demonstrations bring MuJoCo with them, which an embedding in someone's worker can do without."""
+    if name in ("Demos", "load_demos"):
+        from planspace.demos import dataset
+
+        return getattr(dataset, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

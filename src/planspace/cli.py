@@ -8,16 +8,19 @@ import io
 import json
 import sys
 import traceback
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
+from planspace.embed.config import Metric, ObjectiveName, PresetName
+from planspace.embed.embedding import InputForm
 from planspace.errors import PlanspaceError, UsageError, unknown
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
+PRESETS_OWN = "(default: the preset's)"
 
 
 @dataclass(frozen=True)
@@ -268,55 +271,136 @@ class Embed:
     """A dataset folder."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The embedding's folder. The same command continues an interrupted one."""
-    preset: Literal["modern", "paper"] = "modern"
-    """modern: what measured best. paper: what the paper's text says."""
+    preset: PresetName = "modern"
+    """modern: what measured best. paper: what the paper's text says. Options below change parts of it."""
     z_dim: Annotated[int, arg(metavar="N")] = 3
     """Numbers in z."""
     seeds: Annotated[int, arg(metavar="N")] = 5
     """How many seeds to train."""
     seed: int = 0
     """The first of them, and the seed of the split in training, validation and test."""
-    steps: Annotated[int, arg(metavar="N")] = 0
-    """Optimiser steps; 0 takes the preset's: 12,000 (modern) or 200,000 (paper)."""
+    columns: Annotated[tuple[str, ...], arg(metavar="NAME ...", help_behavior_hint="(default: all)")] = ()
+    """The states the embedding reads, by name."""
+    objective: ObjectiveName = "variational"
+    """variational and direct are the paper's; vae, e2c, straightening, distance, pca, random and shuffled are
+    what it is compared with."""
+    metric: Metric = "l2"
+    """The distance between states, for the direct objective."""
+    linearity: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint=PRESETS_OWN)] = None
+    """lambda: how much straightness counts."""
+    prior: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint=PRESETS_OWN)] = None
+    """How much z is pulled to a unit Gaussian; high values lose dimensions."""
+    spacings: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
+    """Steps between the members of a triplet; 0 for any three states of a demonstration."""
+    inputs: Annotated[InputForm | None, arg(help_behavior_hint=PRESETS_OWN)] = None
+    """raw: numbers as they are. standard: standardised, for plans of which windings are a part. trig: sin and
+    cos of circular angles, then standardised."""
+    steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=PRESETS_OWN)] = None
+    """Optimiser steps."""
+    batch: Annotated[int | None, arg(metavar="N", help_behavior_hint=PRESETS_OWN)] = None
+    """Triplets a step."""
+    learning_rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint=PRESETS_OWN)] = None
+    """Adam's rate."""
+    tensorboard: bool = False
+    """Write the curves for TensorBoard in DIR/tensorboard, too (extra `track`); log.jsonl has them always."""
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
         from planspace.demos.dataset import load_demos
-        from planspace.embed.fit import PRESETS, fit
+        from planspace.embed.config import PRESETS
+        from planspace.embed.fit import fit
 
-        if min(self.z_dim, self.seeds) < 1 or self.steps < 0:
-            raise UsageError("--z-dim and --seeds must be at least 1, --steps at least 0.")
-        config = PRESETS[self.preset]
-        config = replace(config, z_dim=self.z_dim, steps=self.steps or config.steps)
-        embedding = fit(load_demos(self.demos), self.out, config=config, num_seeds=self.seeds, seed=self.seed)
-        print(f"seed {embedding.about['seed']} of {self.seeds} saved in {self.out}; on the test split:")
-        _print(embedding.about["metrics"]["test"], False)
+        if min(self.z_dim, self.seeds) < 1 or self.seed < 0:
+            raise UsageError("--z-dim and --seeds must be at least 1, --seed at least 0.")
+        config = PRESETS[self.preset].changed(
+            z_dim=self.z_dim,
+            columns=self.columns,
+            name=self.objective,
+            metric=self.metric,
+            linearity=self.linearity,
+            prior=self.prior,
+            spacings=() if self.spacings == (0,) else self.spacings,
+            inputs=self.inputs,
+            steps=self.steps,
+            batch=self.batch,
+            learning_rate=self.learning_rate,
+        )
+        embedding = fit(
+            load_demos(self.demos),
+            self.out,
+            config=config,
+            num_seeds=self.seeds,
+            seed=self.seed,
+            tensorboard=self.tensorboard,
+        )
+        about = embedding.about
+        print(f"seed {about['seed']} of {self.seeds} saved in {self.out}")
+        _print_beside("test split", {"z": about["metrics"]["test"], "raw state": about["metrics_raw_state"]})
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure an embedding's geometry on demonstrations, beside the standardised raw state's."""
+    """Measure an embedding's geometry on demonstrations, beside the raw state's and a constant's.
+
+    On the demonstrations it was trained on, each split is measured by itself. Straightness can be won by
+    throwing state away: look at effective_rank and decoded_error, too.
+    """
 
     embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
     """An embedding's folder."""
     demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder; all its demonstrations are measured."""
+    """A dataset folder; any whose states have the names the embedding reads."""
+    truth: Annotated[Path | None, arg(metavar="FILE.npz", help_behavior_hint="(default: none)")] = None
+    """The least times to the goal, if they are known, to correlate distances with: `states` [n, state],
+    `time` [n] in seconds, `goal` [state]."""
+    plot: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """Draw paths in z, distance against time, and the curves of the training into DIR. Of the demonstrations
+    it was trained on, the test split is drawn."""
     json: bool = False
     """Print JSON."""
 
     def __call__(self) -> None:
         """Prints the metrics."""
-        import numpy as np
-
         from planspace.demos.dataset import load_demos
         from planspace.embed.embedding import load_embedding
-        from planspace.embed.geometry import measure, measure_raw_state
+        from planspace.embed.measurement import assess
 
-        demos = load_demos(self.demos)
-        everything = np.arange(len(demos))
-        metrics = asdict(measure(load_embedding(self.embedding), demos, everything))
-        raw = asdict(measure_raw_state(demos, everything, everything))
-        _print({"embedding": metrics, "raw_state": raw}, self.json)
+        demos, embedding = load_demos(self.demos), load_embedding(self.embedding)
+        found = assess(embedding, demos, self.truth)
+        if self.plot is not None:
+            from planspace.study.portrait import draw_embedding
+
+            draw_embedding(embedding, self.embedding, demos, self.plot)
+            found["figures"] = str(self.plot)
+        if self.json:
+            print(json.dumps(found, indent=2))
+            return
+        for split, columns in found.pop("splits").items():
+            intervals = {k: f"[{low:.3g}, {high:.3g}]" for k, (low, high) in columns["intervals"].items()}
+            shown = {"z": columns["embedding"], "95 % interval": intervals}
+            _print_beside(split, shown | {"raw state": columns["raw_state"], "constant": columns["constant"]})
+            print()
+        _print(found, False)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write an embedding's encoder for programs that have no Python; needs the extra `onnx`."""
+
+    embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
+    """An embedding's folder."""
+    out: Positional[Annotated[Path, arg(metavar="FILE")]]
+    """The file to make."""
+    to: Literal["onnx"] = "onnx"
+    """onnx: `state` [batch, n] to `mu` and `sigma` [batch, z] of q(z|x), all float32."""
+
+    def __call__(self) -> None:
+        """Exports it."""
+        from planspace.embed.embedding import load_embedding
+        from planspace.embed.export import export_onnx
+
+        export_onnx(load_embedding(self.embedding), self.out)
+        print(self.out)
 
 
 @dataclass(frozen=True)
@@ -403,6 +487,7 @@ Command = (
     | Annotated[Demos, subcommand("demos")]
     | Annotated[Embed, subcommand("embed")]
     | Annotated[Measure, subcommand("measure")]
+    | Annotated[Export, subcommand("export")]
     | Annotated[Train, subcommand("train")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]
@@ -492,3 +577,12 @@ def _print(value: dict[str, Any], as_json: bool, indent: str = "") -> None:
         else:
             shown = f"{item:.4g}" if isinstance(item, float) else item
             print(f"{indent}{key:<22}{shown}")
+
+
+def _print_beside(title: str, columns: dict[str, dict[str, Any]]) -> None:
+    """A table with a row for each number of the first column."""
+    print(f"{title:<20}" + "".join(f"{name:>18}" for name in columns))
+    for row in next(iter(columns.values())):
+        cells = [column.get(row, "") for column in columns.values()]
+        shown = [f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in cells]
+        print(f"  {row:<18}" + "".join(f"{cell:>18}" for cell in shown))

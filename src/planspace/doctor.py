@@ -25,8 +25,8 @@ EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
     "test": (("pytest", "hypothesis", "beartype"), "running the tests"),
     "dev": (("ruff", "pyright", "codespell_lib"), "linting and type checks"),
 }
-"""Extra to the modules it brings and what it is for. This version itself uses `ompl`, `minari`, `video`,
-`test` and `dev`."""
+"""Extra to the modules it brings and what it is for. This version itself uses `ompl`, `minari`, `onnx`,
+`video`, `track`, `test` and `dev`."""
 
 RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'

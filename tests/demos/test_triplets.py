@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.demos.triplets import triplet_rows
+from planspace.demos.triplets import random_triplets, triplet_rows
 from planspace.errors import PlanspaceError
 
 INFO = StateInfo(("x",), ("m",), (), 1)
@@ -27,7 +27,7 @@ def test_every_triplet_of_two_short_demos() -> None:
 
 
 def test_no_triplet_crosses_from_one_demo_to_the_next(demos: Demos) -> None:
-    rows = triplet_rows(demos, np.arange(len(demos)))
+    rows = triplet_rows(demos, np.arange(len(demos)), (1, 3, 5, 10, 30))
     owner = np.searchsorted(demos.offsets, rows, side="right")
     assert (owner == owner[:, :1]).all()
 
@@ -40,3 +40,22 @@ def test_only_the_given_demos_are_cut() -> None:
 def test_too_short_demos_are_refused() -> None:
     with pytest.raises(PlanspaceError, match="the longest demonstration has 4 states, too short"):
         triplet_rows(of_lengths(4, 3), np.array([0, 1]), (3, 5))
+
+
+def test_random_triplets_take_every_inner_state_alike_and_any_length() -> None:
+    rng = np.random.default_rng(0)
+    rows = random_triplets(of_lengths(2, 5, 4), np.array([0, 1, 2]), 30_000, rng)
+    # inner rows: none of the first demonstration (rows 0-1), 3 of the second (2-6), 2 of the third (7-10)
+    middle, counts = np.unique(rows[:, 1], return_counts=True)
+    assert middle.tolist() == [3, 4, 5, 8, 9]
+    np.testing.assert_allclose(counts / 30_000, 0.2, atol=0.02)
+    assert (rows[:, 0] < rows[:, 1]).all() and (rows[:, 1] < rows[:, 2]).all()
+    # around row 4, two states before (2, 3) and two after (5, 6): four triplets, alike
+    around, counts = np.unique(rows[rows[:, 1] == 4], axis=0, return_counts=True)
+    assert around.tolist() == [[2, 4, 5], [2, 4, 6], [3, 4, 5], [3, 4, 6]]
+    np.testing.assert_allclose(counts / counts.sum(), 0.25, atol=0.03)
+
+
+def test_random_triplets_of_too_short_demos_are_refused() -> None:
+    with pytest.raises(PlanspaceError, match="no demonstration has the 3 states"):
+        random_triplets(of_lengths(2, 2), np.array([0, 1]), 10, np.random.default_rng(0))

@@ -12,6 +12,7 @@ from planspace import load_embedding
 from planspace.embed.embedding import Embedding, Inputs
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.errors import PlanspaceError
+from planspace.store import read_sealed, write_sealed
 
 NUMPY_TOLERANCE = 1e-5
 INPUTS = Inputs(
@@ -29,7 +30,7 @@ def layers(network: GaussianNetwork) -> tuple[list[np.ndarray], list[np.ndarray]
 
 
 def test_numpy_inference_is_the_jax_model(rng: np.random.Generator) -> None:
-    model = PlanSpaceModel(5, 3, 0.2, key=jr.key(0))
+    model = PlanSpaceModel(5, 3, (64, 64), 0.2, key=jr.key(0))
     embedding = Embedding(INPUTS, layers(model.encode), layers(model.decode), 0.2)
     states = rng.normal(0, 3, (50, 4))
     q = jax.vmap(model.encode)(jnp.asarray(INPUTS(states), dtype=jnp.float32))
@@ -99,11 +100,33 @@ def test_a_constant_column_is_named() -> None:
 
 
 def test_loading_needs_neither_jax_nor_mujoco(embedding_folder: Path) -> None:
-    """`planspace` itself imports MuJoCo for its tasks; the artefact's module does not need it."""
     code = (
-        "import sys; sys.modules['jax'] = None; sys.modules['matplotlib'] = None\n"
+        "import sys; sys.modules.update(dict.fromkeys(('jax', 'mujoco', 'matplotlib', 'scipy')))\n"
         "import numpy as np, planspace\n"
         f"e = planspace.load_embedding({str(embedding_folder)!r}); print(e.encode(np.zeros(4)).shape)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "(3,)"
+
+
+def test_a_newer_schema_and_another_kind_are_refused(embedding: Embedding, tmp_path: Path) -> None:
+    embedding.save(tmp_path / "e")
+    path = tmp_path / "e" / "embedding.json"
+    text = read_sealed(path)
+    for change, message in (
+        ({"schema": 99, "architecture": "of tomorrow"}, r"newer planspace \(schema 99, .*upgrade planspace"),
+        ({"kind": "demos"}, "describes no embedding"),
+        ({"architecture": "transformer"}, "names the architecture 'transformer'"),
+    ):
+        write_sealed(path, {**text, **change})
+        with pytest.raises(PlanspaceError, match=message):
+            load_embedding(tmp_path / "e")
+
+
+def test_columns_are_found_by_name(embedding: Embedding) -> None:
+    names = ("time", "hinge", "slidervel", "hingevel", "slider")
+    assert embedding.columns_of(names) == (4, 1, 2, 3)
+    with pytest.raises(
+        PlanspaceError, match=r"reads states of 4 numbers \(slider, .*\), these have 2 \(slider, hinge\): 'sl"
+    ):
+        embedding.columns_of(("slider", "hinge"))

@@ -7,11 +7,17 @@ from planspace.demos.convert import import_npz
 from planspace.demos.dataset import Demos, Episode, StateInfo, load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
+    Geometry,
+    bootstrap_intervals,
     effective_rank,
     measure,
-    measure_map,
+    measure_constant,
+    measure_each,
     measure_raw_state,
+    paper_path_error,
     scaled_errors,
+    summarise,
+    tabulate,
 )
 from planspace.errors import PlanspaceError
 
@@ -28,8 +34,8 @@ def demos_of(*paths: np.ndarray) -> Demos:
     )
 
 
-def geometry_of(*paths: np.ndarray):
-    return measure_map(lambda x: x, demos_of(*paths), np.arange(len(paths)), decoded_error=0.0)
+def geometry_of(*paths: np.ndarray) -> Geometry:
+    return summarise(measure_each(lambda x: x, lambda x: x, demos_of(*paths), np.arange(len(paths))))
 
 
 def test_a_straight_line_at_constant_speed_is_perfect() -> None:
@@ -65,10 +71,53 @@ def _corner_error(t: int, s: int) -> float:
 
 
 def test_a_constant_map_wins_nothing() -> None:
-    demos = demos_of(np.random.default_rng(0).normal(size=(30, 2)).cumsum(axis=0))
-    g = measure_map(lambda x: np.zeros((len(x), 3)), demos, np.array([0]), decoded_error=1.0)
+    paths = [np.random.default_rng(i).normal(size=(30 + i, 2)).cumsum(axis=0) for i in range(3)]
+    demos = demos_of(*paths)
+    g = measure_constant(demos, np.arange(3))
     assert (g.straightness, g.time_correlation, g.effective_rank, g.active_dims) == (0.0, 0.0, 0.0, 0)
     assert g.midpoint_error == 0.0  # as defined; which is why it never stands alone
+    assert g.decoded_error == pytest.approx(1.0)  # the mean state is one deviation off
+    duration = np.array([29, 30, 31]) * 0.1
+    y = duration / duration.mean()
+    assert g.duration_error == pytest.approx(np.abs(1 - y).mean())
+
+
+def test_the_error_of_the_decoded_state_by_hand() -> None:
+    states = np.random.default_rng(0).normal(size=(20, 2)) * [1.0, 10.0]
+    off = states.std(axis=0) * [0.3, 0.4]  # mean square (0.09 + 0.16) / 2
+    table = measure_each(lambda x: x, lambda x: x + off, demos_of(states), np.array([0]))
+    assert summarise(table).decoded_error == pytest.approx(np.sqrt(0.125))
+
+
+def test_intervals_hold_the_value_and_shrink_with_more_demonstrations() -> None:
+    rng = np.random.default_rng(0)
+    paths = [np.linspace([0.0, 0.0], [1.0, 1.0], 20) + 0.05 * rng.normal(size=(20, 2)) for _ in range(100)]
+    few, many = (
+        measure_each(lambda x: x, lambda x: x, demos_of(*paths[:n]), np.arange(n)) for n in (10, 100)
+    )
+    widths = []
+    for table in (few, many):
+        low, high = bootstrap_intervals(table)["straightness"]
+        assert low < summarise(table).straightness < high
+        widths.append(high - low)
+    assert widths[1] < 0.6 * widths[0]  # by a third, if sqrt(10) were exact
+    mean, error = few.straightness.mean(), few.straightness.std() / np.sqrt(10)
+    low, high = bootstrap_intervals(few)["straightness"]
+    assert (low, high) == pytest.approx((mean - 1.96 * error, mean + 1.96 * error), abs=0.5 * error)
+
+
+def test_the_path_error_alone_is_the_same(embedding: Embedding, demos: Demos) -> None:
+    part = np.array([0, 3, 5])
+    assert paper_path_error(embedding, demos, part) == pytest.approx(
+        measure(embedding, demos, part).path_error
+    )
+
+
+def test_metrics_follow_the_named_states_whatever_their_order(embedding: Embedding, demos: Demos) -> None:
+    shuffled = demos.select(("hingevel", "slider", "hinge", "slidervel"))
+    assert shuffled.info.circular_columns == (2,)
+    same = tabulate(embedding, shuffled, np.arange(3))
+    np.testing.assert_allclose(same.chord, tabulate(embedding, demos, np.arange(3)).chord)
 
 
 def test_the_scale_factor_is_the_best_one() -> None:
@@ -114,7 +163,8 @@ def test_raw_state_anchors_on_the_released_data(released: Path, file: str, tmp_p
 def test_demos_of_other_states_are_refused(embedding: Embedding) -> None:
     demos = demos_of(np.zeros((20, 2)) + np.arange(20)[:, None])
     with pytest.raises(
-        PlanspaceError, match=r"reads the states \(slider, .*the demonstrations have \(x, y\)"
+        PlanspaceError,
+        match=r"states \(slider, .*\), 4 numbers, .*have \(x, y\), 2 numbers: 'slider' is missing",
     ):
         measure(embedding, demos, np.array([0]))
 

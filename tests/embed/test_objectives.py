@@ -1,45 +1,176 @@
+import math
+from dataclasses import replace
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
 
+from planspace.embed.config import ObjectiveConfig
 from planspace.embed.gaussian import DiagonalGaussian, kl
 from planspace.embed.networks import PlanSpaceModel
-from planspace.embed.objectives import midpoint, variational
+from planspace.embed.objectives import OBJECTIVES, Sample, _balanced_kl, between, variational
 
-MODEL = PlanSpaceModel(4, 3, 0.1, key=jr.key(0))
-TRIPLET = jr.normal(jr.key(1), (3, 4))
+MODEL = PlanSpaceModel(4, 3, (64, 64), 0.1, num_controls=2, key=jr.key(0))
+PAPER = ObjectiveConfig(linearity=0.5, prior=1.0, anywhere=0.0)
+HALF = jnp.array(0.5)
+
+
+def sample(key: int = 1, w: float = 0.5) -> Sample:
+    return Sample(
+        jr.normal(jr.key(key), (3, 4)),
+        jnp.array(w),
+        jnp.array(0.4),
+        jr.normal(jr.key(key + 99), (4,)),
+        jnp.array([0.3, -0.2]),
+    )
+
+
+def identity(num: int) -> PlanSpaceModel:
+    """A linear model whose means are the inputs, with deviation 1 for z and for the decoded state."""
+    model = PlanSpaceModel(num, num, (), 0.0, key=jr.key(0))
+    eye = jnp.concatenate([jnp.eye(num), jnp.zeros((num, num))])
+    return eqx.tree_at(lambda m: (m.encode.weights[0], m.decode.weights[0]), model, (eye, eye))
 
 
 def test_midpoint_by_hand() -> None:
     a = DiagonalGaussian(jnp.array([0.0]), jnp.array([1.0]))
     b = DiagonalGaussian(jnp.array([4.0]), jnp.array([3.0]))
     # mean 2; variance (1 + 9) / 4, doubled to 5
-    assert float(midpoint(a, b).mu[0]) == 2.0
-    assert float(midpoint(a, b).sigma[0]) == pytest.approx(np.sqrt(5.0))
-    same = midpoint(a, a)  # doubled, so that the midpoint of two equal ones is the same distribution
+    doubled, plain = (between(a, b, HALF, double_variance=d) for d in (True, False))
+    assert float(doubled.mu[0]) == 2.0
+    assert float(doubled.sigma[0]) == pytest.approx(math.sqrt(5.0))
+    assert float(plain.sigma[0]) == pytest.approx(math.sqrt(2.5))
+    same = between(a, a, HALF, double_variance=True)  # so that the midpoint of two equal ones is the same
     assert float(kl(same, a)) == pytest.approx(0.0, abs=1e-7)
 
 
+def test_a_quarter_of_the_way_by_hand() -> None:
+    a = DiagonalGaussian(jnp.array([0.0]), jnp.array([1.0]))
+    b = DiagonalGaussian(jnp.array([4.0]), jnp.array([3.0]))
+    q = between(a, b, jnp.array(0.25), double_variance=True)
+    # mean 0.75 * 0 + 0.25 * 4 = 1; variance 0.75 * 1 + 0.25 * 9 = 3
+    assert (float(q.mu[0]), float(q.sigma[0])) == (1.0, pytest.approx(math.sqrt(3.0)))
+
+
 def test_the_bound_is_the_sum_of_its_terms() -> None:
-    t = variational(MODEL, TRIPLET, 0.5, key=jr.key(2))
-    assert float(t.bound) == pytest.approx(
-        float(t.log_likelihood - t.prior_kl - 0.5 * t.midpoint_kl), rel=1e-5
+    t = variational(MODEL, sample(), PAPER, jr.key(2))
+    assert float(t["bound"]) == pytest.approx(
+        float(t["log_likelihood"] - t["prior_kl"] - 0.5 * t["midpoint_kl"]), rel=1e-5
     )
-    assert float(t.prior_kl) > 0 and float(t.midpoint_kl) > 0
+    assert float(t["prior_kl"]) > 0 and float(t["midpoint_kl"]) > 0
 
 
-def test_linearity_weighs_the_midpoint_alone() -> None:
-    low, high = (variational(MODEL, TRIPLET, w, key=jr.key(2)) for w in (0.5, 2.0))
-    assert float(low.bound - high.bound) == pytest.approx(1.5 * float(low.midpoint_kl), rel=1e-4)
+@pytest.mark.parametrize("weight", ["curvature", "distance"])
+def test_further_terms_only_take_away(weight: str) -> None:
+    with_term = replace(PAPER, **{weight: 2.0})
+    plain, more = (variational(MODEL, sample(), c, jr.key(2)) for c in (PAPER, with_term))
+    term = more[{"distance": "distance_error"}.get(weight, weight)]
+    assert float(plain["bound"] - more["bound"]) == pytest.approx(2 * float(term), rel=1e-4)
+    assert float(term) > 0
 
 
-def test_a_batch_is_its_samples() -> None:
-    triplets, keys = jr.normal(jr.key(3), (5, 3, 4)), jr.split(jr.key(4), 5)
-    batched = jax.vmap(lambda x, k: variational(MODEL, x, 0.5, key=k).bound)(triplets, keys)
-    single = [float(variational(MODEL, x, 0.5, key=k).bound) for x, k in zip(triplets, keys, strict=True)]
-    np.testing.assert_allclose(batched, single, rtol=1e-5)
+def test_terms_of_a_straight_line_by_hand() -> None:
+    model = identity(2)
+    x = jnp.array([[0.0, 0.0], [0.75, 1.0], [3.0, 4.0]])  # t a quarter of the way along a line of length 5
+    line = Sample(x, jnp.array(0.25), jnp.array(5.0), x[0], jnp.zeros(0))
+    config = replace(PAPER, curvature=1.0, distance=1.0)
+    t = variational(model, line, config, jr.key(0))
+    assert float(t["midpoint_kl"]) == pytest.approx(0.0, abs=1e-6)
+    assert float(t["curvature"]) == pytest.approx(0.0, abs=1e-5)
+    assert float(t["distance_error"]) == pytest.approx(0.0, abs=1e-4)  # |z_b - z_a| = 5 durations
+    bent = eqx.tree_at(lambda s: s.x, line, jnp.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]))
+    # a right angle: 1 - cos = 1; from (0.75, 1) to (3, 0), with deviation 1: KL = (2.25^2 + 1) / 2
+    t = variational(model, bent, config, jr.key(0))
+    assert float(t["curvature"]) == pytest.approx(1.0, abs=1e-5)
+    assert float(t["midpoint_kl"]) == pytest.approx((2.25**2 + 1) / 2, rel=1e-5)
+
+
+def test_balance_turns_the_gradient_and_leaves_the_value() -> None:
+    one = jnp.ones(1)
+
+    def gradient(balance: float) -> tuple[float, float, float]:
+        def f(p: jax.Array, q: jax.Array) -> jax.Array:
+            return _balanced_kl(DiagonalGaussian(p, one), DiagonalGaussian(q, one), balance)
+
+        p, q = jnp.array([1.0]), jnp.array([3.0])
+        at_p, at_q = jax.grad(f, (0, 1))(p, q)
+        return float(f(p, q)), float(at_p[0]), float(at_q[0])
+
+    # KL = (p - q)^2 / 2 = 2, its gradients -2 and 2; balanced by 0.8: 0.4 of the one, 1.6 of the other
+    assert gradient(0.5) == pytest.approx((2.0, -2.0, 2.0))
+    assert gradient(0.8) == pytest.approx((2.0, -0.8, 3.2))
+
+
+@pytest.mark.parametrize(("metric", "expected"), [("l2", 5.0), ("squared", 25.0), ("l1", 7.0)])
+def test_direct_is_minus_the_distance_to_the_decoded_midpoint(metric, expected: float) -> None:
+    x = jnp.array([[0.0, 0.0], [4.0, 5.0], [2.0, 2.0]])  # the midpoint (1, 1) is (3, 4) off
+    config = ObjectiveConfig(name="direct", metric=metric)
+    t = OBJECTIVES["direct"](
+        identity(2), Sample(x, HALF, jnp.array(1.0), x[0], jnp.zeros(0)), config, jr.key(0)
+    )
+    assert float(t["bound"]) == pytest.approx(-expected, rel=1e-5)
+
+
+def test_distance_regresses_on_time() -> None:
+    x = jnp.array([[0.0, 0.0], [1.0, 1.0], [3.0, 4.0]])
+    t = OBJECTIVES["distance"](
+        identity(2), Sample(x, HALF, jnp.array(3.0), x[0], jnp.zeros(0)), ObjectiveConfig(), jr.key(0)
+    )
+    assert float(t["distance_error"]) == pytest.approx((5 - 3) ** 2, rel=1e-4)
+
+
+def test_e2c_dynamics_of_a_known_linear_system() -> None:
+    model = eqx.tree_at(
+        lambda m: m.transition.biases[-1],
+        PlanSpaceModel(2, 2, (), 0.0, num_controls=1, key=jr.key(0)),
+        # v = (1, 0), r = (0, 0.5), offset = (0, 1), B = (2, 0): z' = z + v (r . z) + o + B u
+        jnp.array([1.0, 0.0, 0.0, 0.5, 0.0, 1.0, 2.0, 0.0]),
+    )
+    model = eqx.tree_at(lambda m: m.transition.weights[0], model, jnp.zeros((8, 2)))
+    q = DiagonalGaussian(jnp.array([1.0, 4.0]), jnp.array([1.0, 2.0]))
+    assert model.transition is not None
+    after = model.transition(q.mu, q, jnp.array([3.0]))
+    np.testing.assert_allclose(after.mu, [1 + 0.5 * 4 + 2 * 3, 4 + 1])
+    np.testing.assert_allclose(after.sigma, [math.sqrt(1 + 0.25 * 4), 2.0])
+
+
+@pytest.mark.parametrize("name", ["random", "distance"])
+def test_the_decoder_of_an_objective_without_one_leaves_the_encoder_alone(name) -> None:
+    def loss(model: PlanSpaceModel) -> jax.Array:
+        s = sample()
+        exact = jnp.linalg.norm(model.encode(s.x[2]).mu - model.encode(s.x[0]).mu)
+        s = eqx.tree_at(lambda s: s.duration, s, jax.lax.stop_gradient(exact))  # no error of distance left
+        return OBJECTIVES[name](model, s, ObjectiveConfig(), jr.key(0))["bound"]
+
+    gradient = eqx.filter_grad(loss)(MODEL)
+    assert max(float(jnp.abs(w).max()) for w in gradient.encode.weights) < 1e-4
+    assert float(jnp.abs(gradient.decode.weights[0]).max()) > 1e-3
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_a_batch_is_its_samples_and_all_have_a_gradient(name) -> None:
+    config, keys = ObjectiveConfig(name=name), jr.split(jr.key(4), 5)
+    samples = [sample(i) for i in range(5)]
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *samples)
+    batched = jax.vmap(lambda s, k: OBJECTIVES[name](MODEL, s, config, k)["bound"])(batch, keys)
+    single = [
+        float(OBJECTIVES[name](MODEL, s, config, k)["bound"]) for s, k in zip(samples, keys, strict=True)
+    ]
+    np.testing.assert_allclose(batched, single, rtol=1e-4)
+    gradient = eqx.filter_grad(lambda m: OBJECTIVES[name](m, samples[0], config, keys[0])["bound"])(MODEL)
+    assert all(bool(jnp.isfinite(g).all()) for g in jax.tree.leaves(gradient))
+    assert float(jnp.abs(gradient.decode.weights[-1]).max()) > 0
+
+
+def test_equal_states_have_finite_gradients() -> None:
+    """A norm of zero has none of its own."""
+    s = eqx.tree_at(lambda s: s.x, sample(), jnp.zeros((3, 4)))
+    config = replace(PAPER, curvature=1.0, distance=1.0)
+    gradient = eqx.filter_grad(lambda m: variational(m, s, config, jr.key(0))["bound"])(MODEL)
+    assert all(bool(jnp.isfinite(g).all()) for g in jax.tree.leaves(gradient))
 
 
 def test_deviations_are_elu_plus_one_above_the_floor() -> None:

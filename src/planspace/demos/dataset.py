@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,40 @@ class Demos:
             seed=int(self.seeds[i]),
             cost=float(self.costs[i]),
         )
+
+    def select(self, names: Sequence[str]) -> "Demos":
+        """The same demonstrations with the named states alone, in that order.
+
+        A model belongs to all of its states, so a true selection has none.
+
+        Raises:
+            PlanspaceError: there is no such state, or one is asked for twice.
+        """
+        if tuple(names) == self.info.names:
+            return self
+        missing = [name for name in names if name not in self.info.names]
+        if missing or not names or len(set(names)) < len(names):
+            raise PlanspaceError(
+                f"the states ({', '.join(names)}), {len(names)} numbers, are asked for, the demonstrations "
+                f"have ({', '.join(self.info.names)}), {len(self.info.names)} numbers"
+                + (f": {missing[0]!r} is missing." if missing else "; name each of some of them once.")
+            )
+        columns = [self.info.names.index(name) for name in names]
+        circular, quaternions = self.info.circular_columns, self.info.quaternion_columns
+        info = replace(
+            self.info,
+            names=tuple(names),
+            units=tuple(self.info.units[c] for c in columns),
+            circular_columns=tuple(new for new, c in enumerate(columns) if c in circular),
+            quaternion_columns=tuple(
+                new
+                for new, c in enumerate(columns)
+                if c in quaternions and columns[new : new + 4] == [c, c + 1, c + 2, c + 3]
+            ),
+            joints=(),
+            mjcf="",
+        )
+        return replace(self, info=info, states=self.states[:, columns], goals=self.goals[:, columns])
 
     def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:
         """The rows of some demonstrations, in order."""

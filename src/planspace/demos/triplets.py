@@ -8,12 +8,9 @@ from jaxtyping import Int
 from planspace.demos.dataset import Demos
 from planspace.errors import PlanspaceError
 
-PAPER_SPACINGS = (1, 3, 5, 10, 30)
-"""Steps between the members of a triplet (paper, section on the variational embedding)."""
-
 
 def triplet_rows(
-    demos: Demos, episodes: Int[np.ndarray, " demo"], spacings: Sequence[int] = PAPER_SPACINGS
+    demos: Demos, episodes: Int[np.ndarray, " demo"], spacings: Sequence[int]
 ) -> Int[np.ndarray, "triplet 3"]:
     """Every triplet (t - s, t, t + s) of the given spacings within the given demonstrations.
 
@@ -42,3 +39,37 @@ def triplet_rows(
             f"spacings {list(spacings)}: a spacing of s steps needs 2 s + 1 states."
         )
     return rows
+
+
+def random_triplets(
+    demos: Demos, episodes: Int[np.ndarray, " demo"], num: int, rng: np.random.Generator
+) -> Int[np.ndarray, "triplet 3"]:
+    """Triplets a < t < b of any length within the given demonstrations, up to a whole one.
+
+    t is drawn from all states but the first and last of a demonstration, so that each counts the same; a and
+    b then from those before and after it.
+
+    Args:
+        demos: the dataset.
+        episodes: which demonstrations.
+        num: how many triplets.
+        rng: where the draws come from.
+
+    Returns:
+        Row numbers into `demos.states`.
+
+    Raises:
+        PlanspaceError: no demonstration has three states.
+    """
+    inner, first, last = [], [], []
+    for i in episodes:
+        a, b = int(demos.offsets[i]), int(demos.offsets[i + 1]) - 1
+        inside = np.arange(a + 1, b)
+        inner.append(inside)
+        first.append(np.full(len(inside), a))
+        last.append(np.full(len(inside), b))
+    rows = np.stack([np.concatenate(part) for part in (first, inner, last)], axis=1)
+    if len(rows) == 0:
+        raise PlanspaceError("no demonstration has the 3 states that a triplet needs.")
+    a, t, b = rows[rng.integers(len(rows), size=num)].T
+    return np.stack([rng.integers(a, t), t, rng.integers(t, b) + 1], axis=1)

@@ -2,6 +2,7 @@
 
     DIR/embedding.safetensors   the weights and the normaliser
     DIR/embedding.json          what they mean: inputs, architecture, preset, seed, metrics, provenance
+    DIR/README.md, log.jsonl    a model card and the curves of its training; `fit` writes them
 
 The JSON is sealed by its own checksum and holds the SHA-256 of the weights.
 """
@@ -13,26 +14,28 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from planspace.embed.support import Support
 from planspace.errors import PlanspaceError
 from planspace.store import Arrays, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
+CARD, LOG = "README.md", "log.jsonl"
 ARCHITECTURE = "relu-gaussian"
 """The one architecture there is: `embed.networks`. A file names it; it never names code."""
 MIN_DEVIATION = 1e-6
 
-InputForm = Literal["raw", "trig"]
+InputForm = Literal["raw", "standard", "trig"]
 
 
 @dataclass(frozen=True)
 class Inputs:
     """How a state becomes the input of the encoder, and back.
 
-    `raw` takes the numbers as they are. `trig` replaces each angle on a circle by (sin, cos) and
-    standardises every input by the training split.
+    `raw` takes the numbers as they are. `standard` standardises them by the training split. `trig` first
+    replaces each angle on a circle by (sin, cos), so that windings make no difference.
     """
 
     names: tuple[str, ...]
@@ -42,7 +45,7 @@ class Inputs:
     circular_columns: tuple[int, ...]
     """Which of them are angles on a circle [rad]."""
     form: InputForm
-    """`raw` or `trig`."""
+    """`raw`, `standard` or `trig`."""
     mean: Float[np.ndarray, " input"]
     """Subtracted from each input; 0 where `raw`."""
     deviation: Float[np.ndarray, " input"]
@@ -84,7 +87,7 @@ class Inputs:
 
     def expand(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
         """States to inputs, before standardising."""
-        if self.form == "raw" or not self.circular_columns:
+        if self.form != "trig" or not self.circular_columns:
             return np.asarray(states)
         parts = []
         for column in range(len(self.names)):
@@ -112,6 +115,24 @@ class Inputs:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """A linear map of the encoder's output, which leaves straight lines straight: z = (latent - c) M."""
+
+    matrix: Float[np.ndarray, "z z"]
+    centre: Float[np.ndarray, " z"]
+
+    def __call__(
+        self, mu: Float[np.ndarray, "*batch z"], sigma: Float[np.ndarray, "*batch z"]
+    ) -> tuple[Float[np.ndarray, "*batch z"], Float[np.ndarray, "*batch z"]]:
+        """Mean and deviation of each number of z, whose numbers may now be correlated."""
+        return (mu - self.centre) @ self.matrix, np.sqrt(sigma**2 @ self.matrix**2)
+
+    def invert(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch z"]:
+        """Back to the encoder's output."""
+        return z @ np.linalg.inv(self.matrix) + self.centre
+
+
+@dataclass(frozen=True)
 class Embedding:
     """A learned map from states to z, with the decoder that was trained beside it."""
 
@@ -123,6 +144,10 @@ class Embedding:
     """The same of p(x|z)."""
     sigma_floor: float
     """Added to the decoder's deviation."""
+    turn: Turn | None = None
+    """What makes z of the encoder's output; None where that is z itself."""
+    support: Support | None = None
+    """What the demonstrations cover; None where nothing is known of them."""
     about: dict[str, Any] = field(default_factory=dict)
     """Preset, seed, metrics and provenance, as saved."""
 
@@ -135,6 +160,22 @@ class Embedding:
     def state_dim(self) -> int:
         """Numbers in a state."""
         return len(self.inputs.names)
+
+    def columns_of(self, names: Sequence[str]) -> tuple[int, ...]:
+        """Where, among these states, are the ones it reads.
+
+        Args:
+            names: the names of a state's numbers.
+
+        Raises:
+            PlanspaceError: one it reads is not among them.
+        """
+        if missing := [name for name in self.inputs.names if name not in names]:
+            raise PlanspaceError(
+                f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
+                f"these have {len(names)} ({', '.join(names)}): {missing[0]!r} is missing."
+            )
+        return tuple(list(names).index(name) for name in self.inputs.names)
 
     def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
         """The mean of q(z|x), which is what an agent observes."""
@@ -154,17 +195,29 @@ class Embedding:
                 f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
                 f"got {states.shape[-1]}."
             )
-        return _gaussian(self.inputs(states), self.encoder, 0.0)
+        mu, sigma = _gaussian(self.inputs(states), self.encoder, 0.0)
+        return (mu, sigma) if self.turn is None else self.turn(mu, sigma)
 
     def decode(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch state"]:
         """The state the decoder takes z to be."""
-        return self.inputs.invert(_gaussian(np.asarray(z), self.decoder, self.sigma_floor)[0])
+        latent = np.asarray(z) if self.turn is None else self.turn.invert(np.asarray(z))
+        return self.inputs.invert(_gaussian(latent, self.decoder, self.sigma_floor)[0])
 
     def distance(
         self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
     ) -> Float[np.ndarray, "*batch3"]:
         """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
         return np.asarray(np.linalg.norm(self.encode(a) - self.encode(b), axis=-1))
+
+    def outside_support(self, states: Float[np.ndarray, "row state"]) -> Bool[np.ndarray, " row"]:
+        """Which states lie outside what the demonstrations cover, where z is a guess.
+
+        Raises:
+            PlanspaceError: the embedding knows nothing of its demonstrations.
+        """
+        if self.support is None:
+            raise PlanspaceError("the embedding does not hold the support of its demonstrations.")
+        return self.support.outside(self.inputs(states))
 
     def save(self, path: Path) -> None:
         """Saves it in a folder; the description is written last, and without it there is no embedding.
@@ -175,7 +228,7 @@ class Embedding:
         if (path / DESCRIPTION).exists():
             raise PlanspaceError(f"{path} already holds an embedding; choose another --out.")
         make_folder(path)
-        sha256 = write_arrays(path / WEIGHTS, self._arrays())
+        sha256 = write_arrays(path / WEIGHTS, self._saved_arrays())
         write_sealed(
             path / DESCRIPTION,
             {
@@ -191,6 +244,7 @@ class Embedding:
                 },
                 "z_dim": self.z_dim,
                 "sigma_floor": self.sigma_floor,
+                "support_radius": None if self.support is None else self.support.radius,
                 "about": self.about,
             },
         )
@@ -205,10 +259,17 @@ class Embedding:
 
     def _arrays(self) -> Arrays:
         arrays = {"mean": self.inputs.mean, "deviation": self.inputs.deviation}
+        if self.turn is not None:
+            arrays |= {"turn.matrix": self.turn.matrix, "turn.centre": self.turn.centre}
         for name, (weights, biases) in (("encoder", self.encoder), ("decoder", self.decoder)):
             for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
         return arrays
+
+    def _saved_arrays(self) -> Arrays:
+        if self.support is None:
+            return self._arrays()
+        return self._arrays() | {"support": self.support.points, "support_scale": self.support.scale}
 
 
 def load_embedding(path: str | Path) -> Embedding:
@@ -224,23 +285,33 @@ def load_embedding(path: str | Path) -> Embedding:
     if not (path / DESCRIPTION).exists():
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
     text = read_sealed(path / DESCRIPTION)
-    if text.get("kind") != "embedding" or text.get("architecture") != ARCHITECTURE:
-        raise PlanspaceError(f"{path / DESCRIPTION} describes no embedding this planspace can read.")
+    if text.get("kind") != "embedding":
+        raise PlanspaceError(f"{path / DESCRIPTION} describes no embedding.")
     if text["schema"] > SCHEMA:
         raise PlanspaceError(
             f"{path} was written by a newer planspace (schema {text['schema']}, this one reads up to "
             f"{SCHEMA}); upgrade planspace."
         )
+    if text["architecture"] != ARCHITECTURE:
+        raise PlanspaceError(
+            f"{path / DESCRIPTION} names the architecture {text['architecture']!r}; this planspace knows "
+            f"{ARCHITECTURE!r} alone."
+        )
     arrays = read_arrays(path / WEIGHTS, sha256=text["weights_sha256"])
     bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if bad:
         raise PlanspaceError(f"{path / WEIGHTS}: {bad[0]} holds a number that is not finite.")
+    support = None
+    if "support" in arrays:
+        support = Support(arrays["support"], arrays["support_scale"], text["support_radius"])
     inputs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in text["inputs"].items()}
     return Embedding(
         inputs=Inputs(**inputs, mean=arrays["mean"], deviation=arrays["deviation"]),
         encoder=_layers(arrays, "encoder"),
         decoder=_layers(arrays, "decoder"),
         sigma_floor=text["sigma_floor"],
+        turn=Turn(arrays["turn.matrix"], arrays["turn.centre"]) if "turn.matrix" in arrays else None,
+        support=support,
         about=text["about"],
     )
 

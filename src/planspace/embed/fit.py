@@ -1,89 +1,67 @@
-"""Training an embedding: several seeds at once, the best one chosen and saved."""
+"""Training an embedding from demonstrations: several seeds at once, the best one chosen and saved."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
-import jax.random as jr
 import mujoco
 import numpy as np
-import optax
-from jaxtyping import Array, Float, Int, Key
 
 import planspace
-from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.demos.dataset import Demos
-from planspace.demos.triplets import PAPER_SPACINGS, triplet_rows
-from planspace.embed.embedding import DESCRIPTION, Embedding, InputForm, Inputs, load_embedding
-from planspace.embed.geometry import Geometry, measure, measure_raw_state
+from planspace.embed.card import model_card
+from planspace.embed.config import FitConfig
+from planspace.embed.embedding import (
+    CARD,
+    DESCRIPTION,
+    LOG,
+    Embedding,
+    Inputs,
+    load_embedding,
+)
+from planspace.embed.geometry import (
+    Geometry,
+    bootstrap_intervals,
+    measure,
+    measure_constant,
+    measure_raw_state,
+    paper_path_error,
+    tabulate,
+)
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
-from planspace.embed.objectives import Terms, variational
-from planspace.errors import PlanspaceError
-from planspace.progress import progress
-from planspace.store import append_row, open_run
+from planspace.embed.principal import principal_components, principal_turn
+from planspace.embed.samples import make_samples
+from planspace.embed.support import Support
+from planspace.embed.training import train
+from planspace.store import append_row, open_run, write_bytes
+from planspace.track import Tracker, open_tracker
 
-CHUNK = 500
-"""Optimiser steps compiled into one call; between calls come progress, log and checkpoint."""
-
-
-@dataclass(frozen=True)
-class FitConfig:
-    """How an embedding is trained."""
-
-    preset: Literal["modern", "paper"] = "modern"
-    """Where the other fields' values come from."""
-    z_dim: int = 3
-    """Numbers in z; the paper has 3 and 10."""
-    inputs: InputForm = "trig"
-    """`raw` numbers, or sin and cos of circular angles and everything standardised."""
-    spacings: tuple[int, ...] = PAPER_SPACINGS
-    """Steps between the members of a triplet."""
-    linearity: float = 2.0
-    """lambda of equation 7: the weight of z_t lying at the midpoint; the paper has 0.5."""
-    sigma_floor: float = 0.2
-    """Least deviation of the decoder, in units of its inputs; without it the likelihood runs away."""
-    steps: int = 12_000
-    """Optimiser steps."""
-    batch: int = 512
-    """Triplets a step."""
-    learning_rate: float = 2e-3
-    """Adam's rate at first."""
-    decay: bool = True
-    """Whether the rate falls to zero by a cosine."""
-    clip_norm: float | None = 10.0
-    """Gradients are clipped to this norm."""
-
-
-PRESETS: dict[str, FitConfig] = {
-    "modern": FitConfig(),
-    "paper": FitConfig(
-        preset="paper",
-        inputs="raw",
-        linearity=0.5,
-        sigma_floor=0.0,
-        steps=200_000,  # the paper gives no length; the 2020 code took over 9 million
-        batch=50,
-        learning_rate=1e-3,
-        decay=False,
-        clip_norm=None,
-    ),
-}
-
-
-class _State(eqx.Module):
-    """Everything that changes during training, with a leading axis of seeds."""
-
-    model: PlanSpaceModel
-    optimiser: Any
+MEASURED = 20
+"""How often during training the geometry on the validation split is logged."""
+CURVES = (
+    "straightness",
+    "speed_variation",
+    "midpoint_error",
+    "time_correlation",
+    "effective_rank",
+    "decoded_error",
+)
+"""The metrics logged."""
 
 
 def fit(
-    demos: Demos, out: Path, *, config: FitConfig, num_seeds: int, seed: int, split_seed: int | None = None
+    demos: Demos,
+    out: Path,
+    *,
+    config: FitConfig,
+    num_seeds: int,
+    seed: int,
+    split_seed: int | None = None,
+    tensorboard: bool = False,
 ) -> Embedding:
     """Trains seeds seed, seed + 1, ... at once, chooses one, and saves it in `out`.
 
@@ -98,6 +76,7 @@ def fit(
         num_seeds: how many seeds.
         seed: the first of them.
         split_seed: the seed of the split by demonstration; by default `seed`.
+        tensorboard: whether to write the curves for TensorBoard, too.
 
     Raises:
         PlanspaceError: the demonstrations do not do, the folder was made with other settings, or a seed
@@ -105,27 +84,30 @@ def fit(
     """
     split_seed = seed if split_seed is None else split_seed
     seeds = list(range(seed, seed + num_seeds))
+    if config.objective.name == "pca":
+        seeds = seeds[:1]  # it has a closed form
     settings = {"demos": demos.hash, "seeds": seeds, "split_seed": split_seed, "fit": asdict(config)}
     open_run(out, settings)
     if (out / DESCRIPTION).exists():
         return load_embedding(out)
-    split = demos.split(split_seed)
-    rows = triplet_rows(demos, split["train"], config.spacings)
-    info = demos.info
-    inputs = Inputs.fit(
-        demos.states[demos.rows(split["train"])], info.names, info.units, info.circular_columns, config.inputs
+    embeddings = fit_seeds(
+        demos, out, config=config, seeds=seeds, split_seed=split_seed, tensorboard=tensorboard
     )
-    data = jnp.asarray(inputs(demos.states), dtype=jnp.float32)
-    state = _train(data, jnp.asarray(rows), config, seeds, out)
-    embeddings = [_to_numpy(state.model, i, inputs, config) for i in range(num_seeds)]
-    chosen, validation = _choose(embeddings, demos, split, config)
+    split = demos.split(split_seed)
+    chosen, validation = choose(embeddings, demos, split, config)
+    used = demos.select(config.columns or demos.info.names)
+    support = Support.fit(
+        embeddings[chosen].inputs(used.states[used.rows(split["train"])]),
+        embeddings[chosen].inputs(used.states[used.rows(split["validation"])]),
+        np.random.default_rng(np.random.SeedSequence([split_seed, 2])),
+    )
     about = {
         "preset": config.preset,
         "seed": seeds[chosen],
         "settings": settings,
+        "problem": demos.info.problem,
         "split": {name: part.tolist() for name, part in split.items()},
-        "metrics": {name: asdict(measure(embeddings[chosen], demos, part)) for name, part in split.items()},
-        "metrics_raw_state": asdict(measure_raw_state(demos, split["test"], split["train"])),
+        **measurements(embeddings[chosen], demos, split),
         "metrics_of_seeds": {str(s): asdict(g) for s, g in zip(seeds, validation, strict=True)},
         "versions": {
             "planspace": planspace.__version__,
@@ -133,114 +115,115 @@ def fit(
             "jax": jax.__version__,
         },
     }
-    embedding = replace(embeddings[chosen], about=about)
+    embedding = replace(embeddings[chosen], support=support, about=about)
+    write_bytes(out / CARD, model_card(embedding).encode())
     embedding.save(out)
     return embedding
 
 
-def _train(
-    data: Float[Array, "row input"],
-    rows: Int[Array, "triplet 3"],
+def measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The geometry on each split, with intervals on the last, beside the raw state and a constant."""
+    used = demos.select(embedding.inputs.names)
+    return {
+        "metrics": {name: asdict(measure(embedding, demos, part)) for name, part in split.items()},
+        "intervals": {"test": bootstrap_intervals(tabulate(embedding, demos, split["test"]))},
+        "metrics_raw_state": asdict(measure_raw_state(used, split["test"], split["train"])),
+        "metrics_constant": asdict(measure_constant(used, split["test"])),
+    }
+
+
+def fit_seeds(
+    demos: Demos,
+    out: Path,
+    *,
     config: FitConfig,
     seeds: Sequence[int],
-    out: Path,
-) -> _State:
-    keys = jnp.stack([jr.key(s) for s in seeds])
-    state = _init(keys, data.shape[1], config)
-    first = 0
-    saved = load_checkpoint(out, state)
-    if saved is not None:
-        state, first = saved[0], saved[1]["step"]
-    with progress("embed", config.steps, done=first, unit="step") as bar:
-        while first < config.steps:
-            length = min(CHUNK, config.steps - first)
-            state, terms = _run_chunk(state, keys, data, rows, jnp.arange(first, first + length), config)
-            means = {name: np.asarray(value).mean(axis=1) for name, value in vars(terms).items()}
-            diverged = np.flatnonzero(~np.isfinite(means["bound"]))
-            if len(diverged):
-                raise PlanspaceError(
-                    f"training diverged between steps {first} and {first + length} for seed "
-                    f"{seeds[diverged[0]]}; {out} keeps the checkpoint before. Try a lower learning rate."
-                )
-            first += length
-            save_checkpoint(out, state, {"step": first})
-            append_row(
-                out / "log.jsonl",
-                {"step": first, "time": time.time(), **{k: v.tolist() for k, v in means.items()}},
-            )
-            bar.update(length)
-            bar.set_postfix_str(f"bound {means['bound'].mean():.2f}", refresh=False)
-    return state
+    split_seed: int,
+    tensorboard: bool = False,
+) -> list[Embedding]:
+    """Trains the given seeds and returns the embedding of each; `fit` without the choice.
+
+    Args:
+        demos: the demonstrations.
+        out: where checkpoint and log are kept.
+        config: how to train.
+        seeds: the seeds; pca has a closed form and makes one embedding, whatever they are.
+        split_seed: the seed of the split by demonstration.
+        tensorboard: whether to write the curves for TensorBoard, too.
+
+    Raises:
+        PlanspaceError: the demonstrations do not do, or a seed diverged.
+    """
+    split = demos.split(split_seed)
+    demos = demos.select(config.columns or demos.info.names)
+    info, train_states = demos.info, demos.states[demos.rows(split["train"])]
+    inputs = Inputs.fit(train_states, info.names, info.units, info.circular_columns, config.inputs)
+    if config.objective.name == "pca":
+        embeddings = [principal_components(inputs, train_states, config.z_dim)]
+    else:
+        samples = make_samples(demos, split["train"], inputs, config, split_seed)
+
+        def to_embeddings(models: PlanSpaceModel) -> list[Embedding]:
+            return [to_numpy(models, i, inputs, config) for i in range(len(seeds))]
+
+        tracker = open_tracker(out / "tensorboard") if tensorboard else None
+        with tracker or nullcontext():
+            log = _Log(out / LOG, to_embeddings, demos, split, config.steps, tracker)
+            embeddings = to_embeddings(train(samples, config, seeds, out, log))
+    return [_turned(e, train_states, config) for e in embeddings]
 
 
-def _make_optimiser(config: FitConfig) -> optax.GradientTransformation:
-    rate = (
-        optax.cosine_decay_schedule(config.learning_rate, config.steps)
-        if config.decay
-        else config.learning_rate
-    )
-    clip = optax.identity() if config.clip_norm is None else optax.clip_by_global_norm(config.clip_norm)
-    return optax.chain(clip, optax.adam(rate))
+@dataclass(frozen=True)
+class _Log:
+    """The curves: in every row the bound, its terms and the path error; now and then the geometry."""
+
+    path: Path
+    to_embeddings: Callable[[PlanSpaceModel], list[Embedding]]
+    demos: Demos
+    split: dict[str, np.ndarray]
+    steps: int
+    tracker: Tracker | None
+
+    def __call__(self, step: int, before: int, models: PlanSpaceModel, terms: dict[str, list[float]]) -> None:
+        """Appends a row for the steps from `before` to `step`: numbers by name, one for each seed."""
+        current = self.to_embeddings(models)
+        row = {**terms, "path_error": [paper_path_error(e, self.demos, self.split["train"]) for e in current]}
+        every = -(-self.steps // MEASURED)
+        if step // every > before // every:
+            measured = [measure(e, self.demos, self.split["validation"]) for e in current]
+            row |= {name: [getattr(g, name) for g in measured] for name in CURVES}
+        append_row(self.path, {"step": step, "time": time.time(), **row})
+        if self.tracker is not None:
+            for i in range(len(current)):
+                self.tracker.add(step, {f"seed {i}/{name}": values[i] for name, values in row.items()})
 
 
-@eqx.filter_jit
-def _init(keys: Key[Array, " seed"], num_inputs: int, config: FitConfig) -> _State:
-    def init_one(key: Key[Array, ""]) -> _State:
-        model = PlanSpaceModel(num_inputs, config.z_dim, config.sigma_floor, key=key)
-        return _State(model, _make_optimiser(config).init(eqx.filter(model, eqx.is_array)))
+def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: FitConfig) -> Embedding:
+    """One seed's model as what is saved."""
 
-    return eqx.filter_vmap(init_one)(keys)
-
-
-@eqx.filter_jit
-def _run_chunk(
-    state: _State,
-    keys: Key[Array, " seed"],
-    data: Float[Array, "row input"],
-    rows: Int[Array, "triplet 3"],
-    steps: Int[Array, " step"],
-    config: FitConfig,
-) -> tuple[_State, Terms]:
-    """Some optimiser steps for all seeds; the randomness of a step depends on its seed and number alone."""
-    optimiser = _make_optimiser(config)
-
-    def loss(model: PlanSpaceModel, triplets: Array, key: Key[Array, ""]) -> tuple[Array, Terms]:
-        keys = jr.split(key, len(triplets))
-        terms = jax.vmap(lambda x, k: variational(model, x, config.linearity, key=k))(triplets, keys)
-        mean = jax.tree.map(jnp.mean, terms)
-        return -mean.bound, mean
-
-    def one_step(state: _State, step: Array, seed_key: Key[Array, ""]) -> tuple[_State, Terms]:
-        batch_key, noise_key = jr.split(jr.fold_in(seed_key, step))
-        chosen = rows[jr.randint(batch_key, (config.batch,), 0, len(rows))]
-        gradient, terms = eqx.filter_grad(loss, has_aux=True)(state.model, data[chosen], noise_key)
-        updates, optimiser_state = optimiser.update(gradient, state.optimiser)
-        return _State(eqx.apply_updates(state.model, updates), optimiser_state), terms
-
-    def one_seed(state: _State, seed_key: Key[Array, ""]) -> tuple[_State, Terms]:
-        return jax.lax.scan(lambda s, i: one_step(s, i, seed_key), state, steps)
-
-    return eqx.filter_vmap(one_seed)(state, keys)
-
-
-def _to_numpy(model: PlanSpaceModel, seed_index: int, inputs: Inputs, config: FitConfig) -> Embedding:
     def layers(network: GaussianNetwork) -> tuple[list[np.ndarray], list[np.ndarray]]:
         return (
-            [np.asarray(w[seed_index]) for w in network.weights],
-            [np.asarray(b[seed_index]) for b in network.biases],
+            [np.asarray(w)[seed_index] for w in network.weights],
+            [np.asarray(b)[seed_index] for b in network.biases],
         )
 
-    return Embedding(inputs, layers(model.encode), layers(model.decode), config.sigma_floor)
+    return Embedding(inputs, layers(models.encode), layers(models.decode), config.sigma_floor)
 
 
-def _choose(
+def _turned(embedding: Embedding, states: np.ndarray, config: FitConfig) -> Embedding:
+    if config.z_deviation == 0:
+        return embedding
+    how = {"whitening": config.whitening, "deviation": config.z_deviation}
+    return replace(embedding, turn=principal_turn(embedding, states, **how))
+
+
+def choose(
     embeddings: list[Embedding], demos: Demos, split: dict[str, np.ndarray], config: FitConfig
 ) -> tuple[int, list[Geometry]]:
     """The seed to keep, and the validation metrics of all."""
     validation = [measure(e, demos, split["validation"]) for e in embeddings]
     if config.preset == "paper":
-        train = [measure(e, demos, split["train"]) for e in embeddings]
-        return int(np.argmin([g.path_error for g in train])), validation
+        return int(np.argmin([paper_path_error(e, demos, split["train"]) for e in embeddings])), validation
     scores = [
         (g.active_dims < config.z_dim, g.midpoint_error) for g in validation
     ]  # a collapsed seed only if all are

@@ -6,7 +6,8 @@ used. Definitions: the design's geometry section; `path_error` is the paper's (e
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -21,10 +22,12 @@ MIN_STATES = 12
 """Shorter demonstrations have no geometry to speak of and are left out."""
 MIDPOINT_SPACINGS = (5, 10, 30)
 MIN_LENGTH = 1e-9
-ACTIVE_VARIANCE = 0.01
-"""A dimension of z whose mean varies less than this over states (the prior has 1) has collapsed."""
+ACTIVE_SHARE = 0.01
+"""A dimension of z that varies less than this share of the mean over all dimensions has collapsed."""
+CONFIDENCE, BOOTSTRAP_DRAWS = 0.95, 1000
 
-Encode = Callable[[np.ndarray], np.ndarray]
+Map = Callable[[np.ndarray], np.ndarray]
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -50,26 +53,42 @@ class Geometry:
     active_dims: int
     """Dimensions of z whose mean varies at all."""
     decoded_error: float
-    """Root mean square error of the state decoded from z, each number over its deviation; NaN if none."""
+    """Root mean square error of the state decoded from z, each number over its deviation."""
     num_demos: int
     """How many demonstrations were measured."""
 
 
+class DemoMetrics(NamedTuple):
+    """What is known of each demonstration; `Geometry` is a summary of it."""
+
+    straightness: Float[np.ndarray, " demo"]
+    speed_variation: Float[np.ndarray, " demo"]
+    midpoint_error: Float[np.ndarray, " demo"]
+    time_correlation: Float[np.ndarray, " demo"]
+    chord: Float[np.ndarray, " demo"]
+    """|z_T - z_0|."""
+    raw_length: Float[np.ndarray, " demo"]
+    """Length of the path in raw states."""
+    duration: Float[np.ndarray, " demo"]
+    squared_error: Float[np.ndarray, " demo"]
+    """Mean square of the decoded state's error, over its states and numbers."""
+    moments: Float[np.ndarray, "demo z_1 z_1"]
+    """Sum of (1, z)(1, z)^T over its states, from which cov(z) follows."""
+
+
 def measure(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geometry:
-    """Measures an embedding on some demonstrations.
+    """Measures an embedding on some demonstrations, by the states it reads.
 
     Raises:
-        PlanspaceError: the demos have other states, or none is long enough.
+        PlanspaceError: the demos lack a state it reads, or none is long enough.
     """
-    if demos.info.names != embedding.inputs.names:
-        raise PlanspaceError(
-            f"the embedding reads the states ({', '.join(embedding.inputs.names)}), the demonstrations have "
-            f"({', '.join(demos.info.names)})."
-        )
-    rows = demos.rows(episodes)
-    decoded = embedding.decode(embedding.encode(demos.states[rows]))
-    error = _state_error(demos, decoded, demos.states[rows])
-    return measure_map(embedding.encode, demos, episodes, decoded_error=error)
+    return summarise(tabulate(embedding, demos, episodes))
+
+
+def tabulate(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
+    """The same for each demonstration; `bootstrap_intervals` takes it from there."""
+    demos = demos.select(embedding.inputs.names)
+    return measure_each(embedding.encode, lambda x: embedding.decode(embedding.encode(x)), demos, episodes)
 
 
 def measure_raw_state(
@@ -78,38 +97,100 @@ def measure_raw_state(
     """The same metrics of the state itself, standardised by the training split: what to compare with."""
     reference = demos.states[demos.rows(train)]
     mean, deviation = reference.mean(axis=0), reference.std(axis=0)
-    return measure_map(lambda x: (x - mean) / deviation, demos, episodes, decoded_error=0.0)
+    deviation = np.where(deviation > 0, deviation, 1.0)
+    return summarise(measure_each(lambda x: (x - mean) / deviation, lambda x: x, demos, episodes))
 
 
-def measure_map(
-    encode: Encode, demos: Demos, episodes: Int[np.ndarray, " demo"], *, decoded_error: float
-) -> Geometry:
-    """Measures any map from states [T, n] to z [T, k]."""
+def measure_constant(demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geometry:
+    """The metrics of a z that knows nothing; its path and duration errors are those of a constant distance.
+
+    d = 0 for every demonstration would be scaled to nothing, while d = 1, as the 2020 figures have it, is
+    scaled to the mean of y. Both are constant; the second is the fair one to beat.
+    """
+    mean_state = demos.states[demos.rows(episodes)].mean(axis=0)
+    table = measure_each(
+        lambda x: np.zeros((len(x), 1)), lambda x: np.tile(mean_state, (len(x), 1)), demos, episodes
+    )
+    return summarise(table._replace(chord=np.ones_like(table.chord)))
+
+
+def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
+    """Measures any map from states [T, n] to z [T, k] on each demonstration of at least `MIN_STATES`.
+
+    Args:
+        encode: states to z.
+        decode: states to what is left of them after going through z.
+        demos: the dataset.
+        episodes: which demonstrations.
+
+    Raises:
+        PlanspaceError: none is long enough.
+    """
     measured = [demos.episode(int(i)) for i in episodes]
     measured = [e for e in measured if len(e.states) >= MIN_STATES]
     if not measured:
         raise PlanspaceError(f"no demonstration has the {MIN_STATES} states that measuring needs.")
-    paths = [encode(e.states).astype(float) for e in measured]
-    chord = np.array([np.linalg.norm(z[-1] - z[0]) for z in paths])
-    raw_length = np.array([_steps(e.states).sum() for e in measured])
-    duration = np.array([e.times[-1] for e in measured])
-    path_errors, duration_errors = scaled_errors(chord, raw_length), scaled_errors(chord, duration)
-    covariance = np.atleast_2d(np.cov(np.concatenate(paths).T))
-    return Geometry(
-        straightness=float(np.mean([_straightness(z) for z in paths])),
-        speed_variation=float(np.mean([_speed_variation(z) for z in paths])),
-        midpoint_error=float(np.mean([_midpoint_error(z) for z in paths])),
-        time_correlation=float(
-            np.mean([_time_correlation(z, e.times) for z, e in zip(paths, measured, strict=True)])
+    bounds = np.cumsum([len(e.states) for e in measured])[:-1]
+    states = np.concatenate([e.states for e in measured])
+    paths = np.split(encode(states).astype(float), bounds)
+    errors = np.split(_squared_errors(demos, decode(states), states), bounds)
+    lifted = [np.concatenate([np.ones((len(z), 1)), z], axis=1) for z in paths]
+    return DemoMetrics(
+        straightness=np.array([_straightness(z) for z in paths]),
+        speed_variation=np.array([_speed_variation(z) for z in paths]),
+        midpoint_error=np.array([_midpoint_error(z) for z in paths]),
+        time_correlation=np.array(
+            [_time_correlation(z, e.times) for z, e in zip(paths, measured, strict=True)]
         ),
+        chord=np.array([np.linalg.norm(z[-1] - z[0]) for z in paths]),
+        raw_length=np.array([_steps(e.states).sum() for e in measured]),
+        duration=np.array([e.times[-1] for e in measured]),
+        squared_error=np.array([e.mean() for e in errors]),
+        moments=np.stack([z.T @ z for z in lifted]),
+    )
+
+
+def summarise(table: DemoMetrics) -> Geometry:
+    """The metrics over all demonstrations of a table."""
+    path_errors = scaled_errors(table.chord, table.raw_length)
+    covariance = _covariance(table.moments.sum(axis=0))
+    count = table.moments[:, 0, 0]
+    return Geometry(
+        straightness=float(table.straightness.mean()),
+        speed_variation=float(table.speed_variation.mean()),
+        midpoint_error=float(table.midpoint_error.mean()),
+        time_correlation=float(table.time_correlation.mean()),
         path_error=float(path_errors.mean()),
         path_error_std=float(path_errors.std()),
-        duration_error=float(duration_errors.mean()),
+        duration_error=float(scaled_errors(table.chord, table.duration).mean()),
         effective_rank=effective_rank(covariance),
-        active_dims=int((np.diag(covariance) > ACTIVE_VARIANCE).sum()),
-        decoded_error=decoded_error,
-        num_demos=len(measured),
+        active_dims=int((np.diag(covariance) > ACTIVE_SHARE * np.diag(covariance).mean()).sum()),
+        decoded_error=float(np.sqrt(np.average(table.squared_error, weights=count))),
+        num_demos=len(table.chord),
     )
+
+
+def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Interval]:
+    """95 % percentile intervals of each metric, by drawing demonstrations with replacement."""
+    rng, count = np.random.default_rng(seed), len(table.chord)
+    draws = [
+        asdict(summarise(DemoMetrics(*(column[chosen] for column in table))))
+        for chosen in rng.integers(count, size=(BOOTSTRAP_DRAWS, count))
+    ]
+    tail = (1 - CONFIDENCE) / 2
+    names = [f.name for f in fields(Geometry) if f.name != "num_demos"]
+    quantiles = {name: np.quantile([d[name] for d in draws], [tail, 1 - tail]) for name in names}
+    return {name: (float(low), float(high)) for name, (low, high) in quantiles.items()}
+
+
+def paper_path_error(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> float:
+    """`path_error` alone, which takes two states of a demonstration: cheap enough to watch training by."""
+    demos = demos.select(embedding.inputs.names)
+    measured = episodes[np.diff(demos.offsets)[episodes] >= MIN_STATES]
+    first, last = demos.offsets[measured], demos.offsets[measured + 1] - 1
+    chord = embedding.distance(demos.states[first], demos.states[last])
+    length = np.array([_steps(demos.episode(int(i)).states).sum() for i in measured])
+    return float(scaled_errors(chord, length).mean())
 
 
 def scaled_errors(d: Float[np.ndarray, " demo"], y: Float[np.ndarray, " demo"]) -> np.ndarray:
@@ -128,6 +209,12 @@ def effective_rank(covariance: Float[np.ndarray, "z z"]) -> float:
     shares = values / values.sum()
     shares = shares[shares > 0]
     return float(np.exp(-np.sum(shares * np.log(shares))))
+
+
+def _covariance(moments: np.ndarray) -> np.ndarray:
+    """cov(z) from the sum of (1, z)(1, z)^T."""
+    count, mean = moments[0, 0], moments[0, 1:] / moments[0, 0]
+    return (moments[1:, 1:] - count * np.outer(mean, mean)) / max(count - 1, 1)
 
 
 def _straightness(z: np.ndarray) -> float:
@@ -154,15 +241,18 @@ def _time_correlation(z: np.ndarray, times: np.ndarray) -> float:
     distance = np.linalg.norm(z - z[-1], axis=1)
     if np.ptp(distance) == 0:
         return 0.0
-    return float(scipy.stats.spearmanr(distance, times[-1] - times).statistic)
+    ranks = scipy.stats.rankdata(distance)  # the times are in order: their ranks need no sorting
+    return float(-np.corrcoef(ranks, np.arange(len(times)))[0, 1])
 
 
 def _steps(x: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.diff(x, axis=0), axis=1)
 
 
-def _state_error(demos: Demos, decoded: np.ndarray, states: np.ndarray) -> float:
+def _squared_errors(demos: Demos, decoded: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Of each state, the mean square over its numbers of the decoded one's error, each over its deviation."""
     error = decoded - states
     columns = list(demos.info.circular_columns)
     error[:, columns] = wrap(error[:, columns])
-    return float(np.sqrt(np.mean((error / states.std(axis=0)) ** 2)))
+    deviation = states.std(axis=0)
+    return np.mean((error / np.where(deviation > 0, deviation, 1.0)) ** 2, axis=1)

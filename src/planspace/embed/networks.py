@@ -1,6 +1,6 @@
-"""Encoder q(z|x) and decoder p(x|z): one small network each, with a mean and a deviation as outputs."""
+"""Encoder q(z|x), decoder p(x|z) and, for embed-to-control, the dynamics of z."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -9,9 +9,6 @@ import jax.random as jr
 from jaxtyping import Array, Float, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
-
-HIDDEN = (64, 64)
-"""Paper, section on the variational embedding: two hidden layers of 64 units."""
 
 
 class GaussianNetwork(eqx.Module):
@@ -25,37 +22,89 @@ class GaussianNetwork(eqx.Module):
     biases: list[Float[Array, " out"]]
     sigma_floor: float = eqx.field(static=True)
 
-    def __init__(self, num_in: int, num_out: int, sigma_floor: float, *, key: Key[Array, ""]):
+    def __init__(
+        self, num_in: int, num_out: int, hidden: Sequence[int], sigma_floor: float, *, key: Key[Array, ""]
+    ):
         """Draws fresh weights."""
-        sizes = (num_in, *HIDDEN, 2 * num_out)
-        keys = jr.split(key, len(sizes) - 1)
-        self.weights = [
-            _glorot_uniform(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)
-        ]
-        self.biases = [jnp.zeros(b) for b in sizes[1:]]
+        self.weights, self.biases = _layers((num_in, *hidden, 2 * num_out), key)
         self.sigma_floor = sigma_floor
 
     def __call__(self, x: Float[Array, " in"]) -> DiagonalGaussian:
         """The Gaussian for one input."""
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = jax.nn.relu(weight @ x + bias)
-        mu, rho = jnp.split(self.weights[-1] @ x + self.biases[-1], 2)
+        mu, rho = jnp.split(_forward(self.weights, self.biases, x), 2)
         return DiagonalGaussian(mu, jax.nn.elu(rho) + 1.0 + self.sigma_floor)
 
 
+class Transition(eqx.Module):
+    """z one step on: A(z) z + B(z) u + o(z) with A = I + v r^T (Watter et al. 2015, section 2.4)."""
+
+    weights: list[Float[Array, "out in"]]
+    biases: list[Float[Array, " out"]]
+    z_dim: int = eqx.field(static=True)
+    num_controls: int = eqx.field(static=True)
+
+    def __init__(self, z_dim: int, num_controls: int, hidden: Sequence[int], *, key: Key[Array, ""]):
+        """Draws fresh weights."""
+        self.weights, self.biases = _layers((z_dim, *hidden, (3 + num_controls) * z_dim), key)
+        self.z_dim, self.num_controls = z_dim, num_controls
+
+    def __call__(
+        self, z: Float[Array, " z"], q: DiagonalGaussian, control: Float[Array, " control"]
+    ) -> DiagonalGaussian:
+        """The distribution of the next z, with the dynamics taken at a sample z of q."""
+        v, r, offset, *b = jnp.split(_forward(self.weights, self.biases, z), 3 + self.num_controls)
+        a = jnp.eye(self.z_dim) + jnp.outer(v, r)
+        mu = a @ q.mu + jnp.stack(b, axis=1) @ control + offset
+        return DiagonalGaussian(mu, jnp.sqrt(a**2 @ q.sigma**2))
+
+
 class PlanSpaceModel(eqx.Module):
-    """Encoder and decoder, over the inputs the embedding's features make of a state."""
+    """All that is learned, over the inputs the embedding's features make of a state."""
 
     encode: GaussianNetwork
     """q(z|x)."""
     decode: GaussianNetwork
     """p(x|z)."""
+    log_scale: Float[Array, ""]
+    """Log of the length in z of one mean duration, for the distance term."""
+    transition: Transition | None
+    """The dynamics of z, for embed-to-control."""
 
-    def __init__(self, num_inputs: int, z_dim: int, sigma_floor: float, *, key: Key[Array, ""]):
+    def __init__(
+        self,
+        num_inputs: int,
+        z_dim: int,
+        hidden: Sequence[int],
+        sigma_floor: float,
+        *,
+        num_controls: int = 0,
+        key: Key[Array, ""],
+    ):
         """Draws fresh weights; the floor holds for the decoder's deviation alone."""
-        encode_key, decode_key = jr.split(key)
-        self.encode = GaussianNetwork(num_inputs, z_dim, 0.0, key=encode_key)
-        self.decode = GaussianNetwork(z_dim, num_inputs, sigma_floor, key=decode_key)
+        encode_key, decode_key, transition_key = jr.split(key, 3)
+        self.encode = GaussianNetwork(num_inputs, z_dim, hidden, 0.0, key=encode_key)
+        self.decode = GaussianNetwork(z_dim, num_inputs, hidden, sigma_floor, key=decode_key)
+        self.log_scale = jnp.zeros(())
+        self.transition = (
+            Transition(z_dim, num_controls, hidden, key=transition_key) if num_controls else None
+        )
+
+    @property
+    def scale(self) -> Float[Array, ""]:
+        """The length in z of one mean duration of a demonstration."""
+        return jnp.exp(self.log_scale)
 
 
 _glorot_uniform: Callable[..., Array] = jax.nn.initializers.glorot_uniform(in_axis=1, out_axis=0)
+
+
+def _layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], list[Array]]:
+    keys = jr.split(key, len(sizes) - 1)
+    weights = [_glorot_uniform(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)]
+    return weights, [jnp.zeros(b) for b in sizes[1:]]
+
+
+def _forward(weights: list[Array], biases: list[Array], x: Array) -> Array:
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        x = jax.nn.relu(weight @ x + bias)
+    return weights[-1] @ x + biases[-1]

@@ -2,16 +2,22 @@
 
 from gymnasium.envs.registration import register, registry
 
-from planspace.tasks import TASKS
+ENVIRONMENTS = {
+    "planspace/CartPole-v0": ("cartpole", 100),
+    "planspace/CartPoleSwingUp-v0": ("cartpole-swingup", 200),
+    "planspace/ReacherTrig-v0": ("reacher-trig", 100),
+    "planspace/ReacherRaw-v0": ("reacher-raw", 100),
+}
+"""For each name in Gymnasium, the task and its horizon, as in `tasks`, which brings MuJoCo with it."""
 
 
 def register_tasks() -> None:
     """Registers every task under its Gymnasium name."""
-    for task in TASKS.values():
-        if task.env_id not in registry:
+    for env_id, (task, horizon) in ENVIRONMENTS.items():
+        if env_id not in registry:
             register(
-                task.env_id,
+                env_id,
                 entry_point="planspace.envs.task:TaskEnv",
-                max_episode_steps=task.horizon,
-                kwargs={"task": task.name},
+                max_episode_steps=horizon,
+                kwargs={"task": task},
             )

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.embed.embedding import Embedding
-from planspace.errors import UsageError
+from planspace.errors import PlanspaceError, UsageError
 from planspace.tasks import ObsForm, Task
 
 ZMode = Literal["none", "augment", "replace"]
@@ -34,12 +34,7 @@ class Observer:
             return
         if self.embedding is None:
             raise UsageError(f"z is {self.z!r}, which needs an embedding: give --embedding DIR.")
-        _, space = self.task.compile()
-        if self.embedding.inputs.names != space.names:
-            raise UsageError(
-                f"the embedding reads the states ({', '.join(self.embedding.inputs.names)}), the task "
-                f"{self.task.name} has ({', '.join(space.names)})."
-            )
+        self._embedded_columns(self.embedding)
 
     def __call__(
         self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
@@ -50,7 +45,7 @@ class Observer:
             observe = self.task.observe if self.obs == "raw" else self.task.observe_trig
             parts.append(observe(states, targets))
         if self.embedding is not None and self.z != "none":
-            parts.append(self.embedding.encode(states))
+            parts.append(self.embedding.encode(states[:, self._embedded_columns(self.embedding)]))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     @property
@@ -62,6 +57,14 @@ class Observer:
     def critic_columns(self) -> slice:
         """The columns the critic reads."""
         return self._columns("critic")
+
+    def _embedded_columns(self, embedding: Embedding) -> list[int]:
+        """Where in the task's state the embedding's states are."""
+        _, space = self.task.compile()
+        try:
+            return list(embedding.columns_of(space.names))
+        except PlanspaceError as error:
+            raise UsageError(f"task {self.task.name}: {error}") from None
 
     def _columns(self, reader: str) -> slice:
         if self.z == "none" or self.z_to == "both":

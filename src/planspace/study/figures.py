@@ -1,4 +1,4 @@
-"""The figures: matplotlib for paper and README, Plotly for the report one can turn and hover over."""
+"""The study's figures: matplotlib for paper and README, Plotly for the report one can hover over."""
 
 import io
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from planspace.demos.dataset import Demos
 from planspace.demos.plot import COLOURMAP, time_left_scale
 from planspace.embed.embedding import Embedding
+from planspace.embed.plot import principal
 from planspace.store import Arrays, write_bytes
 
 SMOOTHING = 10
@@ -106,69 +107,7 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
             line={"color": colour, "width": 1, "dash": "dash"},
         )
     figure.update_layout(
-        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **_plain_layout()
-    )
-    return figure
-
-
-def interactive_paths(demos: Demos, embedding: Embedding) -> go.Figure:
-    """Demonstrations in z, coloured by the time left, the goal marked; principal components above 3-D."""
-    episodes = [demos.episode(i) for i in range(len(demos))]
-    paths, goals = _paths_3d(demos, embedding)
-    longest = max(float(e.times[-1]) for e in episodes)
-    figure = go.Figure()
-    for episode, z in zip(episodes, paths, strict=True):
-        left = np.round(episode.times[-1] - episode.times, 3)
-        figure.add_scatter3d(
-            x=z[:, 0],
-            y=z[:, 1],
-            z=z[:, 2],
-            mode="lines",
-            showlegend=False,
-            line={
-                "color": left,
-                "colorscale": "Viridis",
-                "reversescale": True,
-                "cmin": 0,
-                "cmax": longest,
-                "width": 4,
-            },
-            text=left,
-            hovertemplate="%{text} s to go<extra></extra>",
-        )
-    figure.add_scatter3d(
-        x=goals[:, 0],
-        y=goals[:, 1],
-        z=goals[:, 2],
-        mode="markers",
-        name="goal",
-        marker={"size": 7, "color": "crimson", "symbol": "diamond"},
-    )
-    figure.add_scatter3d(  # an empty trace that carries the colour bar
-        x=[None],
-        y=[None],
-        z=[None],
-        mode="markers",
-        showlegend=False,
-        marker={
-            "color": [0],
-            "colorscale": "Viridis",
-            "reversescale": True,
-            "cmin": 0,
-            "cmax": longest,
-            "colorbar": {"title": "time left [s]", "thickness": 12},
-        },
-    )
-    axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": "rgba(128,128,128,0.3)"}
-    figure.update_layout(
-        scene={
-            "xaxis": axis,
-            "yaxis": axis,
-            "zaxis": axis,
-            "aspectmode": "data",
-            "camera_eye": {"x": 1, "y": 1, "z": 0.7},
-        },
-        **_plain_layout(),
+        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **plain_layout()
     )
     return figure
 
@@ -176,14 +115,15 @@ def interactive_paths(demos: Demos, embedding: Embedding) -> go.Figure:
 def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
     """A demonstration's straightness at a glance: the state beside z, each on two principal components."""
     figure = matplotlib.figure.Figure(figsize=(9, 4.3), layout="constrained")
-    paths, _ = _paths_3d(demos, embedding)
-    standard = (demos.states - demos.states.mean(axis=0)) / demos.states.std(axis=0)
-    raw = [standard[a:b] for a, b in zip(demos.offsets[:-1], demos.offsets[1:], strict=True)]
+    standard = demos.states / demos.states.std(axis=0)
     longest = max(float(demos.episode(i).times[-1]) for i in range(len(demos)))
-    for axes, title, lines in zip(
-        figure.subplots(1, 2), ("standardised state", "plan space z"), (raw, paths), strict=True
+    for axes, title, points in zip(
+        figure.subplots(1, 2),
+        ("standardised state", "plan space z"),
+        (standard, embedding.encode(demos.states)),
+        strict=True,
     ):
-        flat = _principal(np.concatenate(lines), 2)
+        flat, _ = principal(points, 2)
         for i in range(min(len(demos), MAX_PATHS)):
             a, b = demos.offsets[i], demos.offsets[i + 1]
             left = demos.times[b - 1] - demos.times[a:b]
@@ -207,31 +147,13 @@ def save_figure(figure: matplotlib.figure.Figure, folder: Path, name: str) -> Pa
     return folder / f"{name}.png"
 
 
-def _paths_3d(demos: Demos, embedding: Embedding) -> tuple[list[np.ndarray], np.ndarray]:
-    """Each demonstration in three coordinates of z, and the goals (the ends, where none is known)."""
-    ends = demos.states[demos.offsets[1:] - 1]
-    goals = np.where(np.isfinite(demos.goals), demos.goals, ends)
-    z = embedding.encode(np.concatenate([demos.states, np.unique(goals, axis=0)]))
-    if z.shape[1] > 3:
-        z = _principal(z, 3)
-    elif z.shape[1] < 3:
-        z = np.pad(z, ((0, 0), (0, 3 - z.shape[1])))
-    paths = [z[a:b] for a, b in zip(demos.offsets[:-1], demos.offsets[1:], strict=True)]
-    return paths, z[len(demos.states) :]
-
-
-def _principal(x: np.ndarray, num: int) -> np.ndarray:
-    centred = x - x.mean(axis=0)
-    _, _, axes = np.linalg.svd(centred, full_matrices=False)
-    return centred @ axes[:num].T
-
-
 def _faint(colour: str) -> str:
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.18)"
 
 
-def _plain_layout() -> dict[str, Any]:
+def plain_layout() -> dict[str, Any]:
+    """A layout that fits the report by day and by night."""
     return {
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",

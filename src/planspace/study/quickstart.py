@@ -9,8 +9,9 @@ import numpy as np
 
 import planspace
 from planspace.demos.dataset import Demos, load_demos
+from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.embedding import Embedding
-from planspace.embed.fit import PRESETS, FitConfig, fit
+from planspace.embed.fit import fit
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig

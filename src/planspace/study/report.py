@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import plotly.graph_objects as go
 import plotly.io
 import plotly.offline
@@ -12,12 +13,13 @@ import plotly.offline
 from planspace.demos.dataset import Demos
 from planspace.demos.plot import plot_demos
 from planspace.embed.embedding import Embedding
+from planspace.embed.plot import PLOTLY_CONFIG, interactive_paths
 from planspace.store import Arrays, make_folder, write_bytes
 from planspace.study.figures import (
     SMOOTHING,
     interactive_curves,
-    interactive_paths,
     learning_curve,
+    plain_layout,
     plot_curves,
     plot_paths,
     save_figure,
@@ -60,7 +62,9 @@ def write_report(
         smoothing=SMOOTHING,
         units=dict(zip(demos.info.names, demos.info.units, strict=True)),
         demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
-        paths=_html(interactive_paths(demos, embedding)),
+        paths=_html(
+            interactive_paths(embedding, demos, np.arange(len(demos))).update_layout(**plain_layout())
+        ),
         curves=_html(interactive_curves(curves)),
         plotly=plotly.offline.get_plotlyjs(),
     )
@@ -70,6 +74,4 @@ def write_report(
 
 
 def _html(figure: go.Figure) -> str:
-    return plotly.io.to_html(
-        figure, include_plotlyjs=False, full_html=False, config={"displaylogo": False, "responsive": True}
-    )
+    return plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, config=PLOTLY_CONFIG)

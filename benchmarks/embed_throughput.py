@@ -1,0 +1,122 @@
+"""Training speed of embeddings: all seeds in one program, against the ways it is usually done.
+
+    python benchmarks/embed_throughput.py [--device cpu] [--rounds 5] [--seeds 1 5 20 50]
+
+The `paper` preset at batch 50 on 60 made-up demonstrations (sizes matter, content does not), optimiser
+steps a second summed over seeds. Compared in turn, round by round, with
+  (a) a compiled single-seed loop in one process a core, their rates added;
+  (b) one compiled update per Python call for one seed, as the code of 2020 works.
+Compilation is left out everywhere. (a) is left out on another device than the CPU.
+"""
+
+import argparse
+import multiprocessing
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+
+CONTROLS, STATES, LENGTH, DEMOS = 1, 4, 120, 60
+STEPS, CALLS = 2000, 1000
+
+
+def prepare(num_seeds: int, steps: int):
+    """A function that trains all seeds for some steps and waits for the result."""
+    import jax
+    import jax.numpy as jnp
+    import jax.random as jr
+
+    from planspace.demos.dataset import Demos, Episode, StateInfo
+    from planspace.embed.config import PRESETS
+    from planspace.embed.embedding import Inputs
+    from planspace.embed.samples import make_samples
+    from planspace.embed.training import init, run_steps
+
+    rng = np.random.default_rng(0)
+    info = StateInfo(tuple("abcd"), ("",) * STATES, (), CONTROLS)
+    episodes = [
+        Episode(
+            rng.normal(size=(LENGTH, STATES)).cumsum(axis=0) / 10,
+            np.zeros((LENGTH - 1, CONTROLS)),
+            np.arange(LENGTH) * 0.02,
+            np.zeros(STATES),
+            True,
+            i,
+            0,
+        )
+        for i in range(DEMOS)
+    ]
+    demos = Demos.from_episodes(info, episodes)
+    config = replace(PRESETS["paper"], steps=10**7)
+    inputs = Inputs.fit(demos.states, info.names, info.units, (), "raw")
+    samples = make_samples(demos, np.arange(DEMOS), inputs, config, 0)
+    keys = jnp.stack([jr.key(s) for s in range(num_seeds)])
+    state = init(keys, samples, config)
+
+    def advance() -> None:
+        nonlocal state
+        state, _ = run_steps(state, keys, samples, jnp.arange(steps), config)
+        jax.block_until_ready(state.model.log_scale)
+
+    advance()  # compiles
+    return advance
+
+
+def rate(advance, steps: int, calls: int = 1) -> float:
+    began = time.perf_counter()
+    for _ in range(calls):
+        advance()
+    return calls * steps / (time.perf_counter() - began)
+
+
+def single_seed_worker(core: int, start, rounds: int, results) -> None:
+    """One process on one core: a compiled loop of one seed, timed whenever told to start."""
+    os.sched_setaffinity(0, {core})
+    advance = prepare(1, STEPS)
+    for _ in range(rounds):
+        start.wait()
+        results.put(rate(advance, STEPS, 3))
+        start.wait()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--device", default="cpu", help="a JAX platform: cpu, cuda, tpu")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seeds", type=int, nargs="*", default=[1, 5, 20, 50])
+    arguments = parser.parse_args()
+    os.environ["JAX_PLATFORMS"] = arguments.device
+    cores = sorted(os.sched_getaffinity(0)) if arguments.device == "cpu" else []
+    context = multiprocessing.get_context("spawn")
+    start, results = context.Barrier(len(cores) + 1), context.Queue()
+    workers = [
+        context.Process(target=single_seed_worker, args=(core, start, arguments.rounds, results), daemon=True)
+        for core in cores
+    ]
+    for worker in workers:
+        worker.start()
+    together = {n: prepare(n, STEPS) for n in sorted({5, *arguments.seeds})}
+    one_by_one = prepare(1, 1)
+    rows = []
+    for _ in range(arguments.rounds):
+        row = {f"{n} seeds together": n * rate(advance, STEPS) for n, advance in together.items()}
+        row["(b) one update a call, one seed"] = rate(one_by_one, 1, CALLS)
+        if cores:
+            start.wait()  # the workers run, and nothing else does
+            start.wait()
+            row[f"(a) one seed a process, {len(cores)} processes"] = sum(results.get() for _ in cores)
+        rows.append(row)
+    print("command: python benchmarks/embed_throughput.py, device", arguments.device)
+    print(f"{'steps a second, summed over seeds':<40}{'median':>10}{'five seeds against it':>30}")
+    for name in rows[0]:
+        values = np.array([row[name] for row in rows])
+        ratio = np.array([row["5 seeds together"] / row[name] for row in rows])
+        spread = f"{np.median(ratio):.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
+        print(f"{name:<40}{np.median(values):>10,.0f}{spread:>30}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Both presets on demonstrations never seen, five seeds each, z = 3 and 10.
+
+    python benchmarks/embedding_tables.py NAME=DEMOS ... [--presets modern paper] [--z 3 10]
+
+DEMOS is a dataset folder. For each preset and z it prints the metrics of the chosen seed on test
+demonstrations (mean and deviation over the seeds), and the raw state's. Every row is kept in
+results/embedding/tables/, with the curve of its training; the same command goes on.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from planspace.demos.dataset import Demos, load_demos
+from planspace.embed.config import PRESETS, FitConfig
+from planspace.embed.fit import choose, fit_seeds
+from planspace.embed.geometry import measure, measure_raw_state
+from planspace.store import json_hash, make_folder, read_json, write_json
+
+RESULTS = Path(__file__).parents[1] / "results" / "embedding" / "tables"
+NUM_SEEDS = 5
+SHOWN = (
+    "straightness",
+    "speed_variation",
+    "midpoint_error",
+    "time_correlation",
+    "path_error",
+    "effective_rank",
+)
+SHOWN += ("decoded_error",)
+
+
+def row(name: str, demos: Demos, config: FitConfig) -> dict:
+    """One row, trained unless the results hold it."""
+    unit = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS}
+    file = RESULTS / f"{name}-{config.preset}-z{config.z_dim}-{json_hash(unit)[:12]}.json"
+    if file.exists():
+        return read_json(file)
+    split = demos.split(0)
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        embeddings = fit_seeds(demos, out, config=config, seeds=list(range(NUM_SEEDS)), split_seed=0)
+        log = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    kept, validation = choose(embeddings, demos, split, config)
+    result = {
+        "name": name,
+        **unit,
+        "seconds": round(time.perf_counter() - began, 1),
+        "kept": kept,
+        "test": [asdict(measure(e, demos, split["test"])) for e in embeddings],
+        "validation": [asdict(g) for g in validation],
+        "raw_state": asdict(measure_raw_state(demos, split["test"], split["train"])),
+        "curve": [{k: v for k, v in r.items() if k != "time"} for r in log if "straightness" in r],
+    }
+    write_json(file, result)
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("demos", nargs="+", metavar="NAME=DEMOS")
+    parser.add_argument("--presets", nargs="*", default=["modern", "paper"])
+    parser.add_argument("--z", nargs="*", type=int, default=[3, 10])
+    parser.add_argument("--inputs", default=None)
+    parser.add_argument("--paper-steps", type=int, default=300_000)
+    arguments = parser.parse_args()
+    make_folder(RESULTS)
+    print(f"{'':<34}" + "".join(f"{s.replace('_', ' '):>24}" for s in SHOWN))
+    for text in arguments.demos:
+        name, _, source = text.partition("=")
+        demos = load_demos(Path(source))
+        for preset in arguments.presets:
+            for z in arguments.z:
+                steps = arguments.paper_steps if preset == "paper" else PRESETS[preset].steps
+                config = PRESETS[preset].changed(z_dim=z, steps=steps, inputs=arguments.inputs)
+                result = row(name, demos, config)
+                cells = []
+                for metric in SHOWN:
+                    values = np.array([g[metric] for g in result["test"]])
+                    cells.append(f"{values[result['kept']]:.3f} ({values.mean():.3f} ± {values.std():.3f})")
+                label = f"{name}, {preset}, z = {z} [{result['seconds']:.0f} s]"
+                print(f"{label:<34}" + "".join(f"{c:>24}" for c in cells), flush=True)
+        raw = [f"{result['raw_state'][metric]:.3f}" for metric in SHOWN]
+        print(f"{name + ', raw state':<34}" + "".join(f"{c:>24}" for c in raw), flush=True)
+
+
+if __name__ == "__main__":
+    main()

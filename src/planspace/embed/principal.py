@@ -1,0 +1,61 @@
+"""Linear maps in closed form: principal components as an embedding, and z turned to its own."""
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.embed.embedding import Embedding, Inputs, Turn
+from planspace.errors import PlanspaceError
+
+SMALLEST = 1e-8
+"""Variances below this share of the largest are not blown up."""
+
+
+def principal_components(inputs: Inputs, states: Float[np.ndarray, "row state"], z_dim: int) -> Embedding:
+    """The first principal components of the inputs, and the least-squares way back.
+
+    Args:
+        inputs: what the encoder sees of a state.
+        states: the training states.
+        z_dim: how many components.
+
+    Raises:
+        PlanspaceError: there are fewer inputs than components.
+    """
+    x = inputs(states)
+    if z_dim > x.shape[1]:
+        raise PlanspaceError(
+            f"{x.shape[1]} inputs have no {z_dim} principal components; choose a smaller z or "
+            "another objective."
+        )
+    mean = x.mean(axis=0)
+    _, _, directions = np.linalg.svd(x - mean, full_matrices=False)
+    v = directions[:z_dim]
+    encoder = np.concatenate([v, np.zeros_like(v)])  # mu, then rho = 0: a deviation of 1
+    decoder = np.concatenate([v.T, np.zeros_like(v.T)])
+    return Embedding(
+        inputs,
+        ([encoder], [np.concatenate([-v @ mean, np.zeros(z_dim)])]),
+        ([decoder], [np.concatenate([mean, np.zeros(len(mean))])]),
+        sigma_floor=0.0,
+    )
+
+
+def principal_turn(
+    embedding: Embedding, states: Float[np.ndarray, "row state"], *, whitening: float, deviation: float
+) -> Turn:
+    """The map of z to its principal directions, the greatest first, partly whitened and scaled.
+
+    Args:
+        embedding: what makes z; not turned yet.
+        states: the training states.
+        whitening: a direction of deviation s over them gets s^(1 - whitening).
+        deviation: the root mean square of the deviations afterwards.
+    """
+    mu = embedding.encode(states)
+    centre = mu.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((mu - centre).T)))
+    values, vectors = np.maximum(values[::-1], SMALLEST * values.max()), vectors[:, ::-1]
+    after = values ** ((1 - whitening) / 2)
+    scale = deviation / np.sqrt(np.mean(after**2))
+    matrix = scale * vectors * values ** (-whitening / 2)
+    return Turn(matrix.astype(np.float32), centre.astype(np.float32))

@@ -1,0 +1,61 @@
+"""What the demonstrations cover: where an embedding knows what it says. NumPy alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from planspace.errors import PlanspaceError
+
+NUM_POINTS = 2000
+QUANTILE = 0.99
+"""Share of the validation states that lie inside by definition."""
+BLOCK = 500
+"""States compared with all points at a time, to bound the memory."""
+
+
+@dataclass(frozen=True)
+class Support:
+    """Some training states; what lies further from all of them than unseen demonstrations do is outside."""
+
+    points: Float[np.ndarray, "point input"]
+    """Inputs of training states, over their deviation."""
+    scale: Float[np.ndarray, " input"]
+    """The deviation of each input over the training states."""
+    radius: float
+    """The greatest distance from the nearest point that counts as inside, in deviations."""
+
+    @classmethod
+    def fit(
+        cls,
+        train: Float[np.ndarray, "row input"],
+        validation: Float[np.ndarray, "other_row input"],
+        rng: np.random.Generator,
+    ) -> "Support":
+        """Draws the points from the training inputs; the radius takes in 99 % of the validation inputs."""
+        deviation = train.std(axis=0)
+        scale = np.where(deviation > 0, deviation, 1.0)
+        chosen = rng.permutation(len(train))[:NUM_POINTS]
+        points = (train[chosen] / scale).astype(np.float32)
+        radius = float(np.quantile(_nearest(points, validation / scale), QUANTILE))
+        return cls(points, scale, radius)
+
+    def outside(self, inputs: Float[np.ndarray, "row input"]) -> Bool[np.ndarray, " row"]:
+        """Which of these lie outside.
+
+        Raises:
+            PlanspaceError: a number is not finite.
+        """
+        if not np.isfinite(inputs).all():
+            raise PlanspaceError("a state holds a number that is not finite.")
+        return np.asarray(_nearest(self.points, inputs / self.scale) > self.radius)
+
+
+def _nearest(points: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Distance of each x to the nearest point."""
+    squares = np.sum(points**2, axis=1)
+    distances = [
+        np.min(squares - 2 * block @ points.T, axis=1) + np.sum(block**2, axis=1)
+        for block in np.split(x, np.arange(BLOCK, len(x), BLOCK))
+    ]
+    return np.sqrt(np.maximum(np.concatenate(distances), 0.0))

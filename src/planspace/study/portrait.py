@@ -1,0 +1,34 @@
+"""An embedding in pictures: the figures `planspace measure --plot` leaves in a folder."""
+
+from pathlib import Path
+
+import numpy as np
+
+from planspace.demos.dataset import Demos
+from planspace.embed.curves import plot_training, read_log
+from planspace.embed.embedding import LOG, Embedding
+from planspace.embed.measurement import split_of
+from planspace.embed.plot import paths_html, plot_distance_against_time, plot_paths
+from planspace.store import make_folder, write_bytes
+from planspace.study.figures import save_figure
+
+
+def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) -> None:
+    """Saves paths (PNG, SVG, interactive HTML), distance against time, and the curves of the training.
+
+    Args:
+        embedding: what to draw.
+        folder: its folder, where the log of its training is, if anywhere.
+        demos: the demonstrations; of those it was trained on, the test split is drawn.
+        out: where the figures go.
+    """
+    splits = split_of(embedding, demos)
+    episodes = splits.get("test", np.arange(len(demos)))
+    make_folder(out)
+    save_figure(plot_paths(embedding, demos, episodes), out, "paths")
+    write_bytes(out / "paths.html", paths_html(embedding, demos, episodes).encode())
+    save_figure(plot_distance_against_time(embedding, demos, episodes), out, "distance")
+    if (folder / LOG).exists():
+        seeds = embedding.about.get("settings", {}).get("seeds")
+        kept = seeds.index(embedding.about["seed"]) if seeds else None
+        save_figure(plot_training(read_log(folder), kept, seeds), out, "training")

@@ -1,0 +1,90 @@
+"""Curves for TensorBoard (extra `track`): the package `tensorboard` alone, neither TensorFlow nor PyTorch."""
+
+import contextlib
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+from planspace.errors import PlanspaceError
+from planspace.store import make_folder
+
+FILE_VERSION = "brain.Event:2"
+"""The format; every event file begins with it."""
+
+
+class Tracker:
+    """Writes the scalars of a run, each when it is added, so that a crash loses none; see `open_tracker`.
+
+    Tracking a run again in the same folder continues it: TensorBoard then drops what an interrupted run had
+    written from that step on.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO, events: Any, record_writer: Any):
+        """Takes an open file.
+
+        Args:
+            path: the file's name, for messages.
+            file: open and empty.
+            events: the module `tensorboard.compat.proto.event_pb2`.
+            record_writer: the class that frames and checks each event.
+        """
+        self._path, self._events, self._records = path, events, record_writer(file)
+        self._started = False
+
+    def add(self, step: int, scalars: Mapping[str, float]) -> None:
+        """Writes numbers that belong to one step.
+
+        Args:
+            step: of the optimiser or the environment.
+            scalars: by name; a name's part before a `/` groups it.
+
+        Raises:
+            PlanspaceError: they cannot be written.
+        """
+        if not self._started:
+            self._write(file_version=FILE_VERSION)
+            self._write(step=step, session_log={"status": self._events.SessionLog.START})
+            self._started = True
+        values = [{"tag": name, "simple_value": value} for name, value in scalars.items()]
+        self._write(step=step, summary={"value": values})
+
+    def close(self) -> None:
+        """Closes the file; nothing can be added any more."""
+        with contextlib.suppress(OSError):  # what was not written, `add` has said
+            self._records.close()
+
+    def __enter__(self) -> "Tracker":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, **event: Any) -> None:
+        data = self._events.Event(wall_time=time.time(), **event).SerializeToString()
+        try:
+            self._records.write(data)
+            self._records.flush()
+        except OSError as error:
+            raise PlanspaceError(f"cannot write {self._path}: {error.strerror}.") from error
+
+
+def open_tracker(folder: Path) -> Tracker:
+    """Opens a run's folder for `tensorboard --logdir`, new or to be continued.
+
+    Raises:
+        PlanspaceError: the package `tensorboard` is missing, or the folder cannot be written.
+    """
+    try:
+        from tensorboard.compat.proto import event_pb2
+        from tensorboard.summary.writer.record_writer import RecordWriter
+    except ImportError as error:
+        raise PlanspaceError(
+            "curves for TensorBoard need the package tensorboard: pip install 'planspace[track]'."
+        ) from error
+    path = make_folder(folder) / f"events.out.tfevents.{time.time_ns()}.{os.getpid()}"  # read in this order
+    return Tracker(path, open(path, "xb"), event_pb2, RecordWriter)

@@ -1,0 +1,160 @@
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jax.random as jr
+import numpy as np
+import pytest
+
+import planspace
+from planspace.embed import export
+from planspace.embed.embedding import Embedding, InputForm, Inputs, Turn
+from planspace.embed.networks import GaussianNetwork
+from planspace.errors import PlanspaceError
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+TOLERANCE = 1e-5
+SEVERAL_TURNS = 50.0
+TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.1], [0.0, 0.2, 2.0]])
+
+
+def made(form: InputForm, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)) -> Embedding:
+    """An encoder with random weights; x is far from 0 beside its deviation, as an altitude is."""
+    num = 4 + (len(circular) if form == "trig" else 0)
+    mean = np.linspace(0.1, 0.7, num) if form == "trig" else np.zeros(num)
+    if 0 not in circular:
+        mean[0] *= 7000.1
+    deviation = np.linspace(0.3, 2.0, num) if form == "trig" else np.ones(num)
+    inputs = Inputs(("x", "theta", "xd", "phi"), ("m", "rad", "m/s", "rad"), circular, form, mean, deviation)
+    net = GaussianNetwork(num, 3, hidden, 0.0, key=jr.key(1))
+    rng = np.random.default_rng(2)
+    weights = [np.asarray(w) for w in net.weights]
+    biases = [rng.normal(size=len(b)).astype(np.float32) for b in net.biases]
+    decoder = ([np.zeros((2 * num, 3))], [np.zeros(2 * num)])
+    return Embedding(inputs, (weights, biases), decoder, 0.2, Turn(TURN, np.array([0.3, -1.0, 2.0])))
+
+
+def run(path: Path, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    mu, sigma = session.run(["mu", "sigma"], {"state": states})
+    return mu, sigma
+
+
+def assert_same(embedding: Embedding, path: Path, states: np.ndarray) -> None:
+    for ours, theirs in zip(embedding.encode_distribution(states), run(path, states), strict=True):
+        assert theirs.dtype == np.float32 and theirs.shape == ours.shape
+        assert (np.abs(ours - theirs) <= TOLERANCE * np.maximum(1.0, np.abs(ours))).all()
+
+
+@pytest.mark.parametrize("hidden", [(64, 64), (16,), ()])
+@pytest.mark.parametrize(
+    ("form", "circular"),
+    [("raw", (1,)), ("raw", ()), ("trig", ()), ("trig", (1,)), ("trig", (3, 1)), ("trig", (0, 1, 2, 3))],
+)
+def test_onnxruntime_computes_what_we_compute(
+    form: InputForm, circular: tuple[int, ...], hidden: tuple[int, ...], tmp_path: Path, rng
+) -> None:
+    embedding = made(form, circular, hidden)
+    export.export_onnx(embedding, tmp_path / "e.onnx")
+    states = rng.normal(size=(200, 4))
+    states[:, list(circular)] = rng.uniform(-1, 1, (200, len(circular))) * SEVERAL_TURNS
+    if form == "trig" and 0 not in circular:
+        states[:, 0] += embedding.inputs.mean[0]
+    states = states.astype(np.float32)
+    assert_same(embedding, tmp_path / "e.onnx", states)
+    assert_same(embedding, tmp_path / "e.onnx", states[:1])  # the batch is free
+
+
+def test_a_trained_embedding_and_its_linear_rival(embedding: Embedding, demos, tmp_path: Path) -> None:
+    principal = pytest.importorskip("planspace.embed.principal").principal_components
+    states = demos.states.astype(np.float32)
+    for name, e in (("fit", embedding), ("pca", principal(embedding.inputs, demos.states, 2))):
+        export.export_onnx(e, tmp_path / f"{name}.onnx")
+        assert_same(e, tmp_path / f"{name}.onnx", states)
+
+
+def test_a_turn_more_changes_nothing(tmp_path: Path) -> None:
+    embedding = made("trig", (1,))
+    export.export_onnx(embedding, tmp_path / "e.onnx")
+    state = np.array([[700.0, 0.5, 0.1, 0.2], [700.0, 0.5 + 2 * np.pi, 0.1, 0.2]], np.float32)
+    mu, _ = run(tmp_path / "e.onnx", state)
+    np.testing.assert_allclose(mu[0], mu[1], atol=TOLERANCE)
+
+
+def test_sigma_by_hand(tmp_path: Path) -> None:
+    """One linear layer of one state: mu = 2 x + 1, rho = x; sigma = exp(rho) below 0 and rho + 1 above; then
+    0.5 is taken off the mean, and all of it is doubled.
+    """
+    inputs = Inputs(("x",), ("m",), (), "raw", np.zeros(1), np.ones(1))
+    layer = ([np.array([[2.0], [1.0]])], [np.array([1.0, 0.0])])
+    embedding = Embedding(inputs, layer, layer, 0.0, Turn(np.array([[2.0]]), np.array([0.5])))
+    export.export_onnx(embedding, tmp_path / "e.onnx")
+    mu, sigma = run(tmp_path / "e.onnx", np.array([[-1.0], [0.0], [3.0]], np.float32))
+    np.testing.assert_allclose(mu[:, 0], [-3.0, 1.0, 13.0], atol=1e-6)
+    np.testing.assert_allclose(sigma[:, 0], [2 * np.exp(-1.0), 2.0, 8.0], atol=1e-6)
+
+
+def test_the_file_says_what_it_is(embedding: Embedding, tmp_path: Path) -> None:
+    export.export_onnx(embedding, tmp_path / "deep" / "e.onnx")
+    model = onnx.load(tmp_path / "deep" / "e.onnx")
+    assert {p.key: p.value for p in model.metadata_props} == {
+        "state_names": json.dumps(["slider", "hinge", "slidervel", "hingevel"]),
+        "state_units": json.dumps(["m", "rad", "m/s", "rad/s"]),
+        "z_dim": "3",
+        "embedding_hash": embedding.hash,
+        "planspace_version": planspace.__version__,
+    }
+    assert [f.name for f in (tmp_path / "deep").iterdir()] == ["e.onnx"]
+
+
+def test_a_file_that_exists_is_left_alone(embedding: Embedding, tmp_path: Path) -> None:
+    (tmp_path / "e.onnx").write_text("mine")
+    with pytest.raises(PlanspaceError, match=r"e\.onnx exists already; choose another file"):
+        export.export_onnx(embedding, tmp_path / "e.onnx")
+    assert (tmp_path / "e.onnx").read_text() == "mine"
+
+
+def test_a_model_that_computes_something_else_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    embedding = made("trig", (1,))
+    bias = embedding.encoder[1][-1] + np.float32(1e-4)
+    wrong = replace(embedding, encoder=(embedding.encoder[0], [*embedding.encoder[1][:-1], bias]))
+    build = export._build
+    monkeypatch.setattr(export, "_build", lambda onnx, _: build(onnx, wrong))
+    with pytest.raises(PlanspaceError, match=r"mu is off by [\d.]+e-0[45], where 1e-05 is allowed") as caught:
+        export.export_onnx(embedding, tmp_path / "e.onnx")
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_weights_that_give_no_number_are_not_written(tmp_path: Path) -> None:
+    embedding = made("raw", ())
+    embedding.encoder[1][-1][0] = np.nan
+    with pytest.raises(PlanspaceError, match="mu is off by nan"):
+        export.export_onnx(embedding, tmp_path / "e.onnx")
+
+
+@pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
+def test_without_a_package(
+    missing: str, embedding: Embedding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    if missing == "onnx":
+        with pytest.raises(PlanspaceError, match=r"^[^\n]*pip install 'planspace\[onnx\]'\.$"):
+            export.export_onnx(embedding, tmp_path / "e.onnx")
+    else:  # it is then not compared, but written
+        export.export_onnx(embedding, tmp_path / "e.onnx")
+    assert (tmp_path / "e.onnx").exists() == (missing == "onnxruntime")
+
+
+def test_importing_the_module_needs_no_onnx() -> None:
+    code = (
+        "import sys, planspace.embed.export; print([m for m in ('onnx', 'onnxruntime') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,79 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos
+from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.measurement import assess, load_truth, true_time_correlation
+from planspace.errors import PlanspaceError
+
+NAMES = ("slider", "hinge", "slidervel", "hingevel")
+
+
+def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding, demos: Demos) -> None:
+    found = assess(embedding, demos)
+    assert set(found["splits"]) == {"train", "validation", "test"}
+    assert found["splits"]["test"]["embedding"] == embedding.about["metrics"]["test"]
+    assert found["splits"]["train"]["embedding"]["num_demos"] == 10
+    for part in found["splits"].values():
+        for metric, (low, high) in part["intervals"].items():
+            value = part["embedding"][metric]
+            if part["embedding"]["num_demos"] > 1 and metric not in ("path_error_std", "effective_rank"):
+                assert low - 1e-6 <= value <= high + 1e-6, metric
+    assert found["checks"]["change_by_a_turn"] < 1e-4
+    assert found["checks"]["outside_support"] < 0.2
+
+
+def test_other_demonstrations_are_measured_as_one(embedding: Embedding, demos: Demos) -> None:
+    other = replace(demos, states=demos.states * 1.01)
+    assert list(assess(embedding, other)["splits"]) == ["all"]
+
+
+def test_an_encoder_of_raw_angles_is_caught_by_a_turn(embedding: Embedding, demos: Demos) -> None:
+    i = embedding.inputs
+    weights = [w.copy() for w in embedding.encoder[0]]
+    weights[0] = weights[0][:, :4]
+    inputs = Inputs(i.names, i.units, i.circular_columns, "raw", np.zeros(4), np.ones(4))
+    raw = replace(embedding, inputs=inputs, encoder=(weights, embedding.encoder[1]), support=None)
+    decoder = [w.copy() for w in raw.decoder[0]]
+    decoder[-1] = decoder[-1][:8]
+    biases = [*raw.decoder[1][:-1], raw.decoder[1][-1][:8]]
+    found = assess(replace(raw, decoder=(decoder, biases)), demos)["checks"]
+    assert found["change_by_a_turn"] > 0.1
+    assert "outside_support" not in found
+
+
+def test_the_true_time_is_correlated_by_rank(embedding: Embedding, rng: np.random.Generator) -> None:
+    states, goal = rng.normal(size=(40, 4)), np.zeros(4)
+    distance = embedding.distance(states, goal)
+    assert true_time_correlation(embedding, states, np.exp(distance), goal) == pytest.approx(1.0)
+    assert true_time_correlation(embedding, states, -distance, goal) == pytest.approx(-1.0)
+
+
+def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp_path: Path) -> None:
+    good = {
+        "states": np.random.default_rng(0).normal(size=(9, 4)),
+        "time": np.arange(9.0),
+        "goal": np.zeros(4),
+    }
+    np.savez(tmp_path / "good.npz", **good)
+    states, time, _ = load_truth(tmp_path / "good.npz", NAMES)
+    assert states.shape == (9, 4) and time.shape == (9,)
+    found = assess(embedding, demos, tmp_path / "good.npz")["checks"]
+    assert -1 <= found["true_time_correlation"] <= 1
+    cases = {
+        "is no .npz": None,
+        "`states` must be": good | {"states": np.zeros((9, 3))},
+        "not finite": good | {"time": np.full(9, np.nan)},
+        "with `states`, `time` and `goal`": {"states": good["states"]},
+    }
+    for message, arrays in cases.items():
+        path = tmp_path / "bad.npz"
+        if arrays is None:
+            path.write_text("no")
+        else:
+            np.savez(path, **arrays)
+        with pytest.raises(PlanspaceError, match=message):
+            load_truth(path, NAMES)

@@ -1,0 +1,87 @@
+from dataclasses import replace
+
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.embed.config import PAPER_SPACINGS, PRESETS
+from planspace.embed.embedding import Inputs
+from planspace.embed.samples import make_samples, shuffle
+from planspace.errors import PlanspaceError
+
+
+def inputs_of(demos: Demos) -> Inputs:
+    info = demos.info
+    return Inputs.fit(demos.states, info.names, info.units, info.circular_columns, "trig")
+
+
+def test_a_batch_says_how_far_along_its_middle_is(demos: Demos) -> None:
+    config, train = PRESETS["modern"], np.arange(3)
+    samples = make_samples(demos, train, inputs_of(demos), config, 0)
+    batch = samples.draw(jr.key(0), 1000)
+    mean_duration = np.mean([demos.episode(i).times[-1] for i in range(3)])
+    rows = np.asarray(samples.triplets)
+    owner = np.searchsorted(demos.offsets, rows, side="right") - 1
+    assert (owner == owner[:, :1]).all() and owner.max() <= 2
+    t_a, t_t, t_b = demos.times[rows].T
+    np.testing.assert_allclose(samples.w, (t_t - t_a) / (t_b - t_a), rtol=1e-5)
+    np.testing.assert_allclose(samples.duration, (t_b - t_a) / mean_duration, rtol=1e-5)
+    assert 0 < float(batch.w.min()) < 0.2 and 0.8 < float(batch.w.max()) < 1
+    # the longest are whole demonstrations
+    assert float(samples.duration.max()) == pytest.approx(
+        max(demos.episode(i).times[-1] for i in range(3)) / mean_duration, rel=1e-5
+    )
+
+
+def test_even_spacings_put_the_middle_in_the_middle(demos: Demos) -> None:
+    config = replace(PRESETS["modern"], spacings=PAPER_SPACINGS)
+    samples = make_samples(demos, np.arange(3), inputs_of(demos), config, 0)
+    np.testing.assert_allclose(samples.w, 0.5, rtol=1e-4)
+
+
+def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> None:
+    inputs = inputs_of(demos)
+    samples = make_samples(demos, np.arange(8), inputs, PRESETS["modern"], 0)
+    batch = samples.draw(jr.key(0), 3000)
+    states = inputs.invert(np.asarray(batch.anywhere))
+    x = np.asarray(batch.anywhere) * inputs.deviation + inputs.mean
+    np.testing.assert_allclose(x[:, 1] ** 2 + x[:, 2] ** 2, 1.0, atol=1e-4)  # sin and cos of one angle
+    train = demos.states[demos.rows(np.arange(8))]
+    middle = np.asarray(samples.triplets)[:, 1]
+    spread = demos.states[middle].std(axis=0)
+    for column in (0, 2, 3):  # half as wide again
+        assert states[:, column].std() == pytest.approx(1.5 * spread[column], rel=0.1)
+    assert np.abs(np.corrcoef(states[:, 1], states[:, 3])[0, 1]) < 0.1  # put together at random
+    assert np.abs(np.corrcoef(train[:, 1], train[:, 3])[0, 1]) > 0.2  # which plans are not
+
+
+def test_shuffling_keeps_each_members_states_and_breaks_the_plans(rng: np.random.Generator) -> None:
+    triplets = np.arange(300).reshape(100, 3)
+    mixed = shuffle(triplets, rng)
+    for old, new in zip(triplets.T, mixed.T, strict=True):
+        assert sorted(old) == sorted(new)
+    assert np.mean(mixed[:, 1] - mixed[:, 0] == 1) < 0.1
+
+
+def test_e2c_takes_single_steps_and_their_controls(demos: Demos) -> None:
+    config = PRESETS["modern"].changed(name="e2c")
+    samples = make_samples(demos, np.arange(len(demos)), inputs_of(demos), config, 0)
+    a, t, _ = np.asarray(samples.triplets).T
+    assert (t == a + 1).all()
+    first = demos.episode(1)
+    row = int(demos.offsets[1])
+    expected = first.controls[0] / demos.controls.std(axis=0)
+    np.testing.assert_allclose(samples.controls[row], expected, rtol=1e-5)
+    assert float(jnp.abs(samples.controls[row - 1]).max()) == 0.0  # the last state of the one before has none
+
+
+def test_e2c_without_controls_is_refused() -> None:
+    info = StateInfo(("x",), ("m",), (), 0)
+    x = np.linspace(0, 1, 20)[:, None]
+    demos = Demos.from_episodes(
+        info, [Episode(x, np.zeros((19, 0)), np.arange(20) * 0.1, np.zeros(1), True, 0, 0)] * 3
+    )
+    with pytest.raises(PlanspaceError, match="e2c needs controls"):
+        make_samples(demos, np.arange(3), inputs_of(demos), PRESETS["modern"].changed(name="e2c"), 0)

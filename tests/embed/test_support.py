@@ -1,0 +1,29 @@
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.support import Support
+from planspace.errors import PlanspaceError
+
+
+def test_a_disk_and_what_lies_beside_it(rng: np.random.Generator) -> None:
+    points = rng.uniform(-1, 1, (4000, 2)) * [1.0, 100.0]  # units must not matter
+    support = Support.fit(points[:3000], points[3000:], rng)
+    inside = rng.uniform(-0.9, 0.9, (500, 2)) * [1.0, 100.0]
+    assert support.outside(inside).mean() < 0.02
+    assert support.outside(np.array([[1.5, 0.0], [0.0, 150.0], [-1.4, -140.0]])).all()
+
+
+def test_distances_are_those_of_the_nearest_point() -> None:
+    support = Support(np.array([[0.0, 0.0], [4.0, 0.0]], np.float32), np.array([1.0, 2.0]), 1.0)
+    # over the scale (1, 2): (0, 2) is 1 away from the first, (4, 2.2) is 1.1 away from the second
+    assert support.outside(np.array([[0.0, 1.98], [4.0, 2.2]])).tolist() == [False, True]
+
+
+def test_an_embedding_knows_its_demonstrations(embedding: Embedding, demos: Demos) -> None:
+    assert embedding.outside_support(demos.states).mean() < 0.2
+    far = demos.states * [5.0, 1.0, 5.0, 5.0] + [3.0, 0.0, 20.0, 40.0]
+    assert embedding.outside_support(far).all()
+    with pytest.raises(PlanspaceError, match="not finite"):
+        embedding.outside_support(np.full((1, 4), np.nan))

@@ -1,0 +1,85 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from planspace.errors import PlanspaceError
+from planspace.track import open_tracker
+
+pytest.importorskip("tensorboard")
+
+
+def read(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    """What TensorBoard's own reader finds."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    accumulator = EventAccumulator(str(folder))
+    accumulator.Reload()
+    names = accumulator.Tags()["scalars"]
+    return {name: [(e.step, e.value) for e in accumulator.Scalars(name)] for name in names}
+
+
+def test_what_is_added_is_read_back(tmp_path: Path) -> None:
+    with open_tracker(tmp_path / "run") as tracker:
+        tracker.add(500, {"seed 0/bound": -1.5, "seed 1/bound": -2.5})
+        tracker.add(1000, {"seed 0/bound": -0.5, "path_error": 0.25})
+    assert read(tmp_path / "run") == {
+        "seed 0/bound": [(500, -1.5), (1000, -0.5)],
+        "seed 1/bound": [(500, -2.5)],
+        "path_error": [(1000, 0.25)],
+    }
+
+
+def test_a_crash_loses_nothing(tmp_path: Path) -> None:
+    tracker = open_tracker(tmp_path)
+    tracker.add(500, {"bound": -1.5})
+    assert read(tmp_path) == {"bound": [(500, -1.5)]}  # before anything is closed
+    tracker.close()
+
+
+def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
+    """The first process got to 1500, its checkpoint to 500; the second repeats 1000, with another number."""
+    for steps, value in (((500, 1000, 1500), 1.0), ((1000, 1500, 2000), 2.0)):
+        with open_tracker(tmp_path) as tracker:
+            for step in steps:
+                tracker.add(step, {"bound": value})
+    assert read(tmp_path) == {"bound": [(500, 1.0), (1000, 2.0), (1500, 2.0), (2000, 2.0)]}
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(PlanspaceError, match="cannot write .*Not a directory"):
+        open_tracker(tmp_path / "file" / "run")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full disk to write to")
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    message = r"^cannot write \S+/events\.out\S+: No space left on device\.$"
+    with (
+        open("/dev/full", "wb") as full,
+        pytest.raises(PlanspaceError, match=message),
+        open_tracker(tmp_path) as tracker,
+    ):
+        tracker._records._writer.close()
+        monkeypatch.setattr(tracker._records, "_writer", full)
+        tracker.add(1, {"bound": 1.0})
+
+
+def test_without_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [n for n in sys.modules if n.startswith("tensorboard.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    with pytest.raises(PlanspaceError, match=r"^[^\n]*pip install 'planspace\[track\]'\.$"):
+        open_tracker(tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_neither_tensorflow_nor_torch_is_needed(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfor name in ('tensorflow', 'torch'): sys.modules[name] = None\n"
+        "import pathlib, planspace.track as t\nassert 'tensorboard' not in sys.modules\n"
+        f"with t.open_tracker(pathlib.Path({str(tmp_path)!r})) as tracker: tracker.add(3, {{'a': 1.0}})"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert read(tmp_path) == {"a": [(3, 1.0)]}
