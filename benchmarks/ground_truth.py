@@ -32,6 +32,7 @@ TOLERANCE = 0.1
 REACHER_INERTIA, REACHER_DAMPING, REACHER_TORQUE = 1.0 + 7e-4, 1.0, 200.0
 """Armature 1 and the links' own 7e-4 kg m^2; gear 200 times control 1."""
 
+TRUTH_STARTS = 500
 BEST_KNOWN_STARTS, BEST_KNOWN_TRIES = 60, 20
 
 
@@ -114,6 +115,23 @@ def build_cartpole() -> None:
     _save("cartpole-swingup.npz", starts=demos.states[first], duration=demos.times[last], seed=np.array(0))
 
 
+def build_truth() -> None:
+    """For `planspace measure --truth`: starts of each problem, and the least time from each to its goal.
+
+    The cart-pole's are the starts of `build_cartpole`, of seed 0; an embedding of demonstrations planned with
+    that seed was trained on most of them.
+    """
+    rng = np.random.default_rng(1)
+    starts = rng.uniform([-3.04, -2.9, -0.1, -0.1], [3.04, 2.9, 0.1, 0.1], (TRUTH_STARTS, 4))
+    goal = np.array([0.0, 1.57, 0.0, 0.0])
+    time = np.array([reacher_time(start, goal) for start in starts])
+    _save("truth-reacher.npz", states=starts, time=time, goal=goal)
+    starts = rng.uniform([-3.14, -0.1], [3.14, 0.1], (TRUTH_STARTS, 2))
+    _save("truth-pendulum.npz", states=starts, time=pendulum_time(starts), goal=np.zeros(2))
+    with np.load(FOLDER / "cartpole-swingup.npz") as best:
+        _save("truth-cartpole-swingup.npz", states=best["starts"], time=best["duration"], goal=np.zeros(4))
+
+
 def _save(name: str, **arrays: np.ndarray) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
@@ -163,3 +181,4 @@ def _interpolate(value: np.ndarray, cells: tuple[np.ndarray, ...]) -> np.ndarray
 if __name__ == "__main__":
     build_pendulum()
     build_cartpole()
+    build_truth()

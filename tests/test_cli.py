@@ -111,10 +111,9 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     code, out, _ = call(capsys, "embed", demos, "--out", embedding, "--steps", 50, "--seeds", 2)
     assert code == 0 and "straightness" in out
     code, out, _ = call(capsys, "measure", embedding, tmp_path / "back", "--json")
-    metrics = json.loads(out)
-    assert code == 0 and {"straightness", "speed_variation", "midpoint_error", "time_correlation"} < set(
-        metrics["embedding"]
-    )
+    for part in json.loads(out)["splits"].values():
+        assert {"straightness", "speed_variation", "midpoint_error"} < set(part["embedding"])
+        assert set(part["constant"]) == set(part["raw_state"]) == set(part["embedding"])
     train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
     assert code == 0 and "--steps 4001 rounded up to 8000" in err
@@ -187,8 +186,12 @@ def test_measuring_other_demos_names_both(
 def test_measuring_draws_the_figures(
     capsys: pytest.CaptureFixture[str], embedding_folder: Path, demo_folder: Path, tmp_path: Path
 ) -> None:
-    pictures = tmp_path / "deep" / "pictures"
-    code, out, _ = call(capsys, "measure", embedding_folder, demo_folder, "--plot", pictures)
+    pictures, truth = tmp_path / "deep" / "pictures", tmp_path / "truth.npz"
+    np.savez(truth, states=np.eye(4), time=np.arange(4.0), goal=np.zeros(4))
+    command = ["measure", embedding_folder, demo_folder, "--plot", pictures, "--truth", truth]
+    code, out, _ = call(capsys, *command)
+    for said in ("train  ", "validation  ", "test  ", "95 % interval", "raw state", "true_time_correlation"):
+        assert said in out
     assert code == 0 and re.search(rf"^figures +{re.escape(str(pictures))}$", out, flags=re.MULTILINE)
     names = [f"{name}.{ending}" for name in ("distance", "paths", "training") for ending in ("png", "svg")]
     assert sorted(f.name for f in pictures.iterdir()) == sorted([*names, "paths.html"])

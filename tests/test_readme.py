@@ -28,7 +28,9 @@ def test_commands_it_names_exist(capsys: pytest.CaptureFixture[str]) -> None:
     from planspace.cli import main
 
     verbs = set(
-        re.findall(r"planspace (run|plan|demos|embed|measure|train|report|doctor)\b", README.read_text())
+        re.findall(
+            r"planspace (run|plan|demos|embed|measure|export|train|report|doctor)\b", README.read_text()
+        )
     )
     assert {"run", "plan", "embed", "train"} <= verbs
     for verb in verbs:

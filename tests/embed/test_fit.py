@@ -162,6 +162,15 @@ def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) ->
     assert "straightness" in (embedding_folder / "README.md").read_text()
 
 
+def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> None:
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    config = replace(QUICK_FIT, steps=20)
+    fit(demos, tmp_path / "e", config=config, num_seeds=2, seed=4, tensorboard=True)
+    events = accumulator.EventAccumulator(str(tmp_path / "e" / "tensorboard")).Reload()
+    assert {"bound/seed 4", "bound/seed 5", "midpoint_error/seed 5"} <= set(events.Tags()["scalars"])
+    assert events.Scalars("bound/seed 4")[-1].step == 20
+
+
 def test_a_running_average_lags_behind(demos: Demos, tmp_path: Path) -> None:
     def weights(name: str, average: float) -> np.ndarray:
         config = replace(QUICK_FIT, steps=50, average=average)

@@ -82,7 +82,7 @@ class FitConfig:
     z_deviation: float = 2.5
     """z is scaled afterwards so that its dimensions deviate by so much over the training states, in the root
     of their mean square; 0 leaves it as trained, near 1."""
-    whitening: float = 0.3
+    whitening: float = 0.2
     """How far the principal directions of z are brought to the same deviation afterwards: 0 not at all, 1 all
     the way. It leaves straight lines straight and lets the lesser directions be seen."""
 

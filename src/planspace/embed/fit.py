@@ -168,7 +168,7 @@ def fit_seeds(
 
         tracker = open_tracker(out / "tensorboard") if tensorboard else None
         with tracker or nullcontext():
-            log = _Log(out / LOG, to_embeddings, demos, split, config.steps, tracker)
+            log = _Log(out / LOG, to_embeddings, demos, split, config.steps, seeds, tracker)
             embeddings = to_embeddings(train(samples, config, seeds, out, log))
     return [_turned(e, train_states, config) for e in embeddings]
 
@@ -182,6 +182,7 @@ class _Log:
     demos: Demos
     split: dict[str, np.ndarray]
     steps: int
+    seeds: Sequence[int]
     tracker: Tracker | None
 
     def __call__(self, step: int, before: int, models: PlanSpaceModel, terms: dict[str, list[float]]) -> None:
@@ -194,8 +195,8 @@ class _Log:
             row |= {name: [getattr(g, name) for g in measured] for name in CURVES}
         append_row(self.path, {"step": step, "time": time.time(), **row})
         if self.tracker is not None:
-            for i in range(len(current)):
-                self.tracker.add(step, {f"seed {i}/{name}": values[i] for name, values in row.items()})
+            for i, seed in enumerate(self.seeds):
+                self.tracker.add(step, {f"{name}/seed {seed}": values[i] for name, values in row.items()})
 
 
 def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: FitConfig) -> Embedding:
