@@ -145,24 +145,24 @@ def main() -> None:
     make_folder(RESULTS)
     demos, rng = load_demos(arguments.demos), np.random.default_rng(0)
     results = {name: run(name, demos, arguments) for name in arguments.only}
-    print(
-        f"{'candidate':<34}"
-        + "".join(f"{s.replace('_', ' '):>18}" for s in SHOWN)
-        + "  return (se), difference"
-    )
+    columns = ["candidate", *(name.replace("_", " ") for name in SHOWN)]
+    columns += ["embeddings x policies", "return (se)", "against the baseline, paired, 90 %"]
+    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
     for name, result in results.items():
-        cells = []
+        cells = [name]
         for metric in SHOWN:
             values = np.array([g[metric] for g in result["validation"]])
-            cells.append(f"{values.mean():.3f} ({values.std():.3f})")
-        text = ""
-        if result["returns"]:
-            values = np.array([r for arm in result["returns"].values() for r in arm])
-            text = f"{values.mean():6.0f} ({values.std(ddof=1) / np.sqrt(len(values)):.0f})"
-            if BASELINE in results and name != BASELINE and results[BASELINE]["returns"]:
-                mean, low, high = paired_interval(result["returns"], results[BASELINE]["returns"], rng)
-                text += f"  {mean:+.0f} ({low:+.0f}, {high:+.0f})"
-        print(f"{name:<34}" + "".join(f"{c:>18}" for c in cells) + "  " + text, flush=True)
+            cells.append(f"{values.mean():.3f} ± {values.std():.3f}")
+        arms = list(result["returns"].values())
+        if arms:
+            values = np.concatenate(arms)
+            cells.append(f"{len(arms)} x {len(arms[0])}")
+            cells.append(f"{values.mean():.0f} ({values.std(ddof=1) / np.sqrt(len(values)):.0f})")
+        if arms and name != BASELINE and results.get(BASELINE, {}).get("returns"):
+            mean, low, high = paired_interval(result["returns"], results[BASELINE]["returns"], rng)
+            cells.append(f"{mean:+.0f} ({low:+.0f} to {high:+.0f})")
+        cells += [""] * (len(columns) - len(cells))
+        print("| " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

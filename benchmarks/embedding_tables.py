@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--paper-steps", type=int, default=300_000)
     arguments = parser.parse_args()
     make_folder(RESULTS)
-    print(f"{'':<34}" + "".join(f"{s.replace('_', ' '):>24}" for s in SHOWN))
+    print("| | " + " | ".join(s.replace("_", " ") for s in SHOWN) + " | s |\n|" + "---|" * (len(SHOWN) + 2))
     for text in arguments.demos:
         name, _, source = text.partition("=")
         demos = load_demos(Path(source))
@@ -86,10 +86,10 @@ def main() -> None:
                 for metric in SHOWN:
                     values = np.array([g[metric] for g in result["test"]])
                     cells.append(f"{values[result['kept']]:.3f} ({values.mean():.3f} ± {values.std():.3f})")
-                label = f"{name}, {preset}, z = {z} [{result['seconds']:.0f} s]"
-                print(f"{label:<34}" + "".join(f"{c:>24}" for c in cells), flush=True)
+                label = f"{name}, {preset}, z = {z}"
+                print("| " + " | ".join([label, *cells, f"{result['seconds']:.0f}"]) + " |", flush=True)
         raw = [f"{result['raw_state'][metric]:.3f}" for metric in SHOWN]
-        print(f"{name + ', raw state':<34}" + "".join(f"{c:>24}" for c in raw), flush=True)
+        print("| " + " | ".join([f"{name}, raw state", *raw, ""]) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -71,8 +71,8 @@ class Inputs:
         if (deviation < MIN_DEVIATION).any():
             column = raw.columns[int(np.argmin(deviation))]
             raise PlanspaceError(
-                f"the state {names[column]!r} is constant in the training demonstrations; leave it out by naming "
-                "the others in --columns."
+                f"the state {names[column]!r} is constant in the training demonstrations; leave it out by "
+                "naming the others in --columns."
             )
         if form == "raw":
             mean, deviation = np.zeros_like(deviation), np.ones_like(deviation)
