@@ -6,20 +6,20 @@ DEMOS holds swing-ups: `planspace plan cartpole-swingup --num 500 --out DEMOS`. 
 five seeds; geometry is the mean over them on validation demonstrations. The RL arm is the swing-up, TRPO, raw
 + sin/cos + z, 0.5 M steps, with the first `--embeddings` seeds; its figure is the mean return of the last ten
 iterations. Policies of the same seed share episode starts and noise, so arms are compared pair by pair, here
-with `baseline`, by a bootstrap over embedding seeds and policies.
+with the prototype, by a bootstrap over embedding seeds and policies.
 
 Every unit is kept in results/embedding/ under the hash of what it depends on; the same command goes on.
 """
 
 import argparse
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from planspace.demos.dataset import Demos, load_demos
-from planspace.embed.config import PRESETS, FitConfig
+from planspace.embed.config import PAPER_SPACINGS, PRESETS, FitConfig
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
@@ -29,56 +29,59 @@ from planspace.store import json_hash, make_folder, read_json, write_json
 RESULTS = Path(__file__).parents[1] / "results" / "embedding"
 NUM_SEEDS = 5
 STEPS, LAST = 500_000, 10
-BASELINE = "lambda 0.5, the paper's spacings"
 SHOWN = ("straightness", "speed_variation", "midpoint_error", "time_correlation")
 SHOWN += ("effective_rank", "decoded_error")
 
 MODERN = PRESETS["modern"]
 
 
-def vary(base: FitConfig = MODERN, **changes: object) -> FitConfig:
-    """A preset with some fields changed; those of the objective go by their own names."""
-    of_objective = {k: v for k, v in changes.items() if hasattr(base.objective, k)}
-    rest = {k: v for k, v in changes.items() if k not in of_objective}
-    return replace(base, objective=replace(base.objective, **of_objective), **rest)  # pyright: ignore
-
-
-SHIPPED = (1, 3, 5, 10, 30)
+BASELINE = "prototype, lambda 0.5"
+PROTOTYPE = MODERN.changed(
+    linearity=0.5,
+    prior=1.0,
+    anywhere=0.0,
+    spacings=PAPER_SPACINGS,
+    sigma_floor=0.05,
+    steps=12_000,
+    z_deviation=0.0,
+    whitening=0.0,
+)
 
 CANDIDATES: dict[str, FitConfig] = {
     "modern": MODERN,
-    BASELINE: vary(linearity=0.5, prior=1.0, spacings=SHIPPED, anywhere=0.0, z_deviation=0.0, whitening=0.0),
-    "z as trained": vary(z_deviation=0.0, whitening=0.0),
-    "z twice as large": vary(z_deviation=5.0),
-    "nothing said of states anywhere": vary(anywhere=0.0),
-    "lambda 0.5": vary(linearity=0.5),
-    "lambda 2": vary(linearity=2.0),
-    "lambda 32": vary(linearity=32.0),
-    "prior 1": vary(prior=1.0),
-    "prior 0.01": vary(prior=0.01),
-    "spacings 1, 3, 5, 10, 30": vary(spacings=SHIPPED),
-    "raw inputs": vary(inputs="raw"),
-    "sigma floor 0.05": vary(sigma_floor=0.05),
-    "variance not doubled": vary(double_variance=False),
-    "balance 0.7": vary(balance=0.7),
-    "curvature 1": vary(curvature=1.0),
-    "distance 10": vary(distance=10.0),
-    "weight average": vary(average=0.999),
-    "not whitened": vary(whitening=0.0),
-    "whitened by half": vary(whitening=0.5),
-    "whitened": vary(whitening=1.0),
-    "2 x 128 units": vary(hidden=(128, 128)),
-    "batch 128": vary(batch=128),
-    "direct": vary(name="direct"),
-    "vae": vary(name="vae"),
-    "e2c": vary(name="e2c", linearity=1.0),
-    "straightening": vary(name="straightening", linearity=5.0),
-    "distance": vary(name="distance"),
-    "pca": vary(name="pca"),
-    "random": vary(name="random"),
-    "shuffled": vary(name="shuffled"),
+    BASELINE: PROTOTYPE,
+    "z as trained": MODERN.changed(z_deviation=0.0, whitening=0.0),
+    "z twice as large": MODERN.changed(z_deviation=5.0),
+    "not whitened": MODERN.changed(whitening=0.0),
+    "wholly whitened": MODERN.changed(whitening=1.0),
+    "nothing said of states anywhere": MODERN.changed(anywhere=0.0),
+    "lambda 0.5": MODERN.changed(linearity=0.5),
+    "lambda 2": MODERN.changed(linearity=2.0),
+    "lambda 32": MODERN.changed(linearity=32.0),
+    "prior 1": MODERN.changed(prior=1.0),
+    "prior 0.01": MODERN.changed(prior=0.01),
+    "spacings 1, 3, 5, 10, 30": MODERN.changed(spacings=PAPER_SPACINGS),
+    "raw inputs": MODERN.changed(inputs="raw"),
+    "standardised inputs": MODERN.changed(inputs="standard"),
+    "sigma floor 0.05": MODERN.changed(sigma_floor=0.05),
+    "variance not doubled": MODERN.changed(double_variance=False),
+    "balance 0.7": MODERN.changed(balance=0.7),
+    "stop-gradient, balance 1": MODERN.changed(balance=1.0),
+    "curvature 1": MODERN.changed(curvature=1.0),
+    "distance 10": MODERN.changed(distance=10.0),
+    "weight average": MODERN.changed(average=0.999),
+    "2 x 128 units": MODERN.changed(hidden=(128, 128)),
+    "batch 128": MODERN.changed(batch=128),
+    "direct": MODERN.changed(name="direct"),
+    "vae": MODERN.changed(name="vae"),
+    "e2c": MODERN.changed(name="e2c", linearity=1.0),
+    "straightening": MODERN.changed(name="straightening", linearity=5.0),
+    "distance": MODERN.changed(name="distance"),
+    "pca": MODERN.changed(name="pca"),
+    "random": MODERN.changed(name="random"),
+    "shuffled": MODERN.changed(name="shuffled"),
 }
-"""Each is `modern` with what its name says; `BASELINE` is the prototype `modern` must not fall behind."""
+"""Each is `modern` with what its name says; `BASELINE` is what `modern` must not fall behind."""
 
 
 def embeddings_of(name: str, config: FitConfig, demos: Demos) -> tuple[list[Embedding], dict]:
@@ -90,10 +93,10 @@ def embeddings_of(name: str, config: FitConfig, demos: Demos) -> tuple[list[Embe
     return embeddings, {"candidate": name, "fit": asdict(config), "validation": geometry}
 
 
-def policy_returns(embedding: Embedding | None, policies: int) -> list[float]:
-    """Of each policy, the mean return of its last iterations."""
+def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
+    """Of policies `first`, `first` + 1, .., the mean return of each one's last iterations."""
     config = TrainConfig(
-        "cartpole-swingup", obs="trig", z="augment" if embedding else "none", num_seeds=policies, steps=STEPS
+        "cartpole-swingup", obs="trig", z="augment", num_seeds=count, seed=first, steps=STEPS
     )
     with tempfile.TemporaryDirectory() as folder:
         history = train(config, Path(folder) / "run", embedding)
@@ -103,26 +106,30 @@ def policy_returns(embedding: Embedding | None, policies: int) -> list[float]:
 def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:
     """One candidate, as far as the results do not hold it yet."""
     config = CANDIDATES[name]
-    unit = (
-        RESULTS / f"{json_hash({'demos': demos.hash, 'fit': asdict(config), 'seeds': NUM_SEEDS})[:16]}.json"
-    )
+    of = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS, "steps": STEPS, "last": LAST}
+    unit = RESULTS / f"{json_hash(of)[:16]}.json"
     result = read_json(unit) if unit.exists() else {}
-    arms = result.get("returns", {})
-    wanted = 0 if arguments.fit_only else min(arguments.embeddings, 1 if name == "pca" else NUM_SEEDS)
-    missing = [i for i in range(wanted) if len(arms.get(str(i), [])) < arguments.policies]
+    arms = {str(i): result.get("returns", {}).get(str(i), []) for i in range(_arms(name, arguments))}
+    arms = {**result.get("returns", {}), **arms}
+    missing = [i for i in range(_arms(name, arguments)) if len(arms[str(i)]) < arguments.policies]
     if result and not missing:
         return result
     embeddings, result = embeddings_of(name, config, demos)
     write_json(unit, {**result, "returns": arms})
     for i in missing:
-        arms[str(i)] = policy_returns(embeddings[i], arguments.policies)
+        have = len(arms[str(i)])
+        arms[str(i)] += policy_returns(embeddings[i], have, arguments.policies - have)
         write_json(unit, {**result, "returns": arms})
     return {**result, "returns": arms}
 
 
+def _arms(name: str, arguments: argparse.Namespace) -> int:
+    return 0 if arguments.fit_only else min(arguments.embeddings, 1 if name == "pca" else NUM_SEEDS)
+
+
 def paired_interval(a: dict, b: dict, rng: np.random.Generator) -> tuple[float, float, float]:
     """Mean difference of two arms and its 90 % interval, over embedding seeds and policies."""
-    shared = sorted(set(a) & set(b))
+    shared = sorted(k for k in set(a) & set(b) if a[k] and b[k])
     count = min(len(x[k]) for x in (a, b) for k in shared)
     difference = np.array([np.subtract(a[k][:count], b[k][:count]) for k in shared])
     draws = [
@@ -153,7 +160,7 @@ def main() -> None:
         for metric in SHOWN:
             values = np.array([g[metric] for g in result["validation"]])
             cells.append(f"{values.mean():.3f} ± {values.std():.3f}")
-        arms = list(result["returns"].values())
+        arms = [arm for arm in result["returns"].values() if arm]
         if arms:
             values = np.concatenate(arms)
             cells.append(f"{len(arms)} x {len(arms[0])}")

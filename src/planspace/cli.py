@@ -292,6 +292,8 @@ class Embed:
     """How much z is pulled to a unit Gaussian; high values lose dimensions."""
     spacings: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
     """Steps between the members of a triplet; 0 for any three states of a demonstration."""
+    whitening: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
+    """How far z's directions are brought to the same size: 0 not at all, 1 all the way."""
     inputs: Annotated[InputForm | None, arg(help_behavior_hint=PRESETS_OWN)] = None
     """raw: numbers as they are. standard: standardised, for plans of which windings are a part. trig: sin and
     cos of circular angles, then standardised."""
@@ -320,6 +322,7 @@ class Embed:
             linearity=self.linearity,
             prior=self.prior,
             spacings=() if self.spacings == (0,) else self.spacings,
+            whitening=self.whitening,
             inputs=self.inputs,
             steps=self.steps,
             batch=self.batch,
@@ -334,7 +337,8 @@ class Embed:
             tensorboard=self.tensorboard,
         )
         about = embedding.about
-        print(f"seed {about['seed']} of {self.seeds} saved in {self.out}")
+        seeds = ", ".join(map(str, about["settings"]["seeds"]))
+        print(f"seed {about['seed']} saved in {self.out}, the best of {seeds}")
         _print_beside("test split", {"z": about["metrics"]["test"], "raw state": about["metrics_raw_state"]})
 
 

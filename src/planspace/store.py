@@ -163,12 +163,20 @@ def append_row(path: Path, row: Mapping[str, Any]) -> None:
         try:
             with open(path, "ab", buffering=0) as file:
                 line = (json.dumps(row) + "\n").encode()
+                if size and not _ends_in_newline(path):
+                    line = b"\n" + line  # the line before was cut off by a crash
                 if file.write(line) != len(line):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError:
             if path.exists():
                 os.truncate(path, size)
             raise
+
+
+def _ends_in_newline(path: Path) -> bool:
+    with open(path, "rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
 
 
 # --- one folder -------------------------------------------------------------------------------------

@@ -68,6 +68,8 @@ def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp
         "`states` must be": good | {"states": np.zeros((9, 3))},
         "not finite": good | {"time": np.full(9, np.nan)},
         "with `states`, `time` and `goal`": {"states": good["states"]},
+        "two different times": good | {"time": np.ones(9)},
+        "got \\(9, 4\\), \\(\\)": good | {"time": np.array(1.0)},
     }
     for message, arrays in cases.items():
         path = tmp_path / "bad.npz"
@@ -77,3 +79,12 @@ def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp
             np.savez(path, **arrays)
         with pytest.raises(PlanspaceError, match=message):
             load_truth(path, NAMES)
+
+
+def test_an_array_alone_and_half_a_file_are_no_truth(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros(3))
+    np.savez(tmp_path / "b.npz", states=np.zeros((900, 4)))
+    (tmp_path / "b.npz").write_bytes((tmp_path / "b.npz").read_bytes()[:-200])
+    for name in ("a.npy", "b.npz"):
+        with pytest.raises(PlanspaceError, match="is no .npz with"):
+            load_truth(tmp_path / name, NAMES)

@@ -88,6 +88,36 @@ def test_terms_of_a_straight_line_by_hand() -> None:
     assert float(t["midpoint_kl"]) == pytest.approx((2.25**2 + 1) / 2, rel=1e-5)
 
 
+def test_states_anywhere_are_auto_encoded_by_hand() -> None:
+    model, x = identity(2), jnp.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
+    s = Sample(x, HALF, jnp.array(1.0), jnp.array([3.0, 4.0]), jnp.zeros(0))
+    low, high = (variational(model, s, replace(PAPER, anywhere=w), jr.key(0)) for w in (1.0, 3.0))
+    noise = jr.normal(jr.split(jr.key(0), 4)[3], (2,))
+    # z = x + noise is decoded as itself: log N = -|noise|^2 / 2 - log 2 pi; KL to N(0, 1) = |x|^2 / 2 = 12.5
+    expected = -float(jnp.sum(noise**2)) / 2 - math.log(2 * math.pi) - 12.5
+    assert float(low["anywhere"]) == pytest.approx(expected, rel=1e-4)
+    assert float(high["bound"] - low["bound"]) == pytest.approx(2 * expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(("name", "term"), [("straightening", "curvature"), ("e2c", "dynamics_kl")])
+def test_rivals_weigh_their_own_term_and_the_prior(name, term: str) -> None:
+    def bound(**weights: float) -> dict:
+        return OBJECTIVES[name](MODEL, sample(), ObjectiveConfig(name=name, **weights), jr.key(0))
+
+    plain, straighter, freer = bound(linearity=1.0), bound(linearity=3.0), bound(linearity=1.0, prior=0.5)
+    assert float(plain["bound"] - straighter["bound"]) == pytest.approx(2 * float(plain[term]), rel=1e-3)
+    assert float(plain["bound"] - freer["bound"]) == pytest.approx(0.4 * float(plain["prior_kl"]), rel=1e-3)
+    assert float(plain[term]) > 0
+
+
+def test_a_vae_by_hand() -> None:
+    x = jnp.array([[3.0, 4.0], [0.0, 0.0], [0.0, 0.0]])
+    s = Sample(x, HALF, jnp.array(1.0), x[0], jnp.zeros(0))
+    t = OBJECTIVES["vae"](identity(2), s, ObjectiveConfig(prior=1.0), jr.key(0))
+    assert float(t["prior_kl"]) == pytest.approx(12.5)  # |x|^2 / 2 for the first state, 0 for the others
+    assert float(t["bound"]) == pytest.approx(float(t["log_likelihood"]) - 12.5, rel=1e-5)
+
+
 def test_balance_turns_the_gradient_and_leaves_the_value() -> None:
     one = jnp.ones(1)
 

@@ -27,3 +27,19 @@ def test_an_embedding_knows_its_demonstrations(embedding: Embedding, demos: Demo
     assert embedding.outside_support(far).all()
     with pytest.raises(PlanspaceError, match="not finite"):
         embedding.outside_support(np.full((1, 4), np.nan))
+
+
+def test_one_state_and_any_batch(embedding: Embedding, demos: Demos) -> None:
+    states = demos.states[:6].reshape(2, 3, 4)
+    many = embedding.outside_support(states)
+    assert many.shape == (2, 3)
+    assert many[1, 2] == embedding.outside_support(states[1, 2])
+    with pytest.raises(PlanspaceError, match="reads states of 4 numbers"):
+        embedding.outside_support(np.zeros((2, 3)))
+
+
+def test_numbers_far_from_zero_are_told_apart(rng: np.random.Generator) -> None:
+    far = 1e6 + rng.normal(size=(1000, 2))
+    support = Support.fit(far[:800], far[800:], rng)
+    assert support.outside(far).mean() < 0.02
+    assert support.outside(np.array([[1e6 + 6.0, 1e6]])).all()

@@ -28,17 +28,16 @@ def triplet_rows(
     parts = []
     for i in episodes:
         first, last = int(demos.offsets[i]), int(demos.offsets[i + 1])
-        for spacing in spacings:
+        for spacing in (s for s in spacings if 2 * s < last - first):
             start = np.arange(first, last - 2 * spacing)
             parts.append(np.stack([start, start + spacing, start + 2 * spacing], axis=1))
-    rows = np.concatenate(parts)
-    if len(rows) == 0:
+    if not parts:
         longest = int(np.diff(demos.offsets)[episodes].max())
         raise PlanspaceError(
             f"the longest demonstration has {longest} states, too short for a triplet at any of the "
             f"spacings {list(spacings)}: a spacing of s steps needs 2 s + 1 states."
         )
-    return rows
+    return np.concatenate(parts)
 
 
 def random_triplets(

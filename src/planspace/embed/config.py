@@ -93,27 +93,25 @@ class FitConfig:
             UsageError: one is out of its range; it is named.
         """
         o = self.objective
+        weights = (o.linearity, o.prior, o.curvature, o.distance, o.anywhere)
         wrong = [
             (
                 min(self.z_dim, self.steps, self.batch, *self.hidden) < 1,
-                "z_dim, steps, batch and hidden",
-                "1",
+                "z_dim, steps, batch, hidden: 1 or more",
             ),
-            (min(self.spacings, default=1) < 1, "spacings", "1 step"),
-            (min(o.linearity, o.prior, o.curvature, o.distance) < 0, "weights of the objective", "0"),
-            (
-                self.learning_rate <= 0 or not np.isfinite(self.learning_rate),
-                "learning_rate",
-                "a little above 0",
-            ),
-            (not 0 <= self.average < 1, "average", "0 and below 1"),
-            (not 0 <= o.balance <= 1, "balance", "0 and at most 1"),
-            (not 0 <= self.whitening <= 1, "whitening", "0 and at most 1"),
-            (self.z_deviation < 0, "z_deviation", "0"),
+            (min(self.spacings, default=1) < 1, "spacings: 1 step or more"),
+            (not all(0 <= w < np.inf for w in weights), "weights of the objective: 0 or more"),
+            (not 0 < self.learning_rate < np.inf, "learning_rate: above 0"),
+            (self.clip_norm is not None and not self.clip_norm > 0, "clip_norm: above 0"),
+            (not 0 <= self.sigma_floor < np.inf, "sigma_floor: 0 or more"),
+            (not 0 <= self.z_deviation < np.inf, "z_deviation: 0 or more"),
+            (not 0 <= self.average < 1, "average: from 0 to below 1"),
+            (not 0 <= o.balance <= 1, "balance: from 0 to 1"),
+            (not 0 <= self.whitening <= 1, "whitening: from 0 to 1"),
         ]
-        for is_wrong, name, least in wrong:
+        for is_wrong, range_of in wrong:
             if is_wrong:
-                raise UsageError(f"how an embedding is trained: {name} must be at least {least}.")
+                raise UsageError(f"how an embedding is trained, {range_of}.")
 
     def changed(self, **changes: Any) -> "FitConfig":
         """A copy with some fields changed, the objective's by their own names; None leaves a field alone."""

@@ -20,7 +20,7 @@ from planspace.embed.support import Support
 from planspace.errors import PlanspaceError
 from planspace.store import Arrays, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
 
-SCHEMA = 1
+SCHEMA = 2
 WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
 CARD, LOG = "README.md", "log.jsonl"
 ARCHITECTURE = "relu-gaussian"
@@ -190,13 +190,7 @@ class Embedding:
         Raises:
             PlanspaceError: the states have another number of columns.
         """
-        states = np.asarray(states, dtype=np.float64)
-        if states.shape[-1] != self.state_dim:
-            raise PlanspaceError(
-                f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
-                f"got {states.shape[-1]}."
-            )
-        mu, sigma = _gaussian(self.inputs(states), self.encoder, 0.0)
+        mu, sigma = _gaussian(self.inputs(self._checked(states)), self.encoder, 0.0)
         return (mu, sigma) if self.turn is None else self.turn(mu, sigma)
 
     def decode(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch state"]:
@@ -210,7 +204,7 @@ class Embedding:
         """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
         return np.asarray(np.linalg.norm(self.encode(a) - self.encode(b), axis=-1))
 
-    def outside_support(self, states: Float[np.ndarray, "row state"]) -> Bool[np.ndarray, " row"]:
+    def outside_support(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Which states lie outside what the demonstrations cover, where z is a guess.
 
         Raises:
@@ -218,7 +212,7 @@ class Embedding:
         """
         if self.support is None:
             raise PlanspaceError("the embedding does not hold the support of its demonstrations.")
-        return self.support.outside(self.inputs(states))
+        return self.support.outside(self.inputs(self._checked(states)))
 
     def save(self, path: Path) -> None:
         """Saves it in a folder; the description is written last, and without it there is no embedding.
@@ -253,10 +247,23 @@ class Embedding:
     @property
     def hash(self) -> str:
         """SHA-256 of what it computes: inputs and weights, whatever is said about it."""
-        digest = hashlib.sha256(repr((self.inputs.names, self.inputs.form, self.sigma_floor)).encode())
+        digest = hashlib.sha256(
+            repr(
+                (self.inputs.names, self.inputs.circular_columns, self.inputs.form, self.sigma_floor)
+            ).encode()
+        )
         for name, array in sorted(self._arrays().items()):
             digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+    def _checked(self, states: np.ndarray) -> np.ndarray:
+        states = np.asarray(states, dtype=np.float64)
+        if states.shape[-1] != self.state_dim:
+            raise PlanspaceError(
+                f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
+                f"got {states.shape[-1]}."
+            )
+        return states
 
     def _arrays(self) -> Arrays:
         arrays = {"mean": self.inputs.mean, "deviation": self.inputs.deviation}
@@ -284,6 +291,8 @@ def load_embedding(path: str | Path) -> Embedding:
     """
     path = Path(path)
     if not (path / DESCRIPTION).exists():
+        if (path / "config.json").exists():
+            raise PlanspaceError(f"{path} is being trained, or was interrupted: run the same command again.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
     text = read_sealed(path / DESCRIPTION)
     if text.get("kind") != "embedding":

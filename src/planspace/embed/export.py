@@ -176,7 +176,7 @@ def _compare(embedding: Embedding, data: bytes) -> None:
             raise PlanspaceError(
                 f"the exported model's {name} is off by {error:.1e}, where {TOLERANCE:.0e} is allowed, so "
                 "nothing was written: float32 has too few digits for these weights, as whitening a collapsed "
-                "dimension makes them. Use load_embedding, or train without whitening."
+                "dimension makes them. Use load_embedding, or train with a smaller --whitening."
             )
 
 

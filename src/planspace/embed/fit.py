@@ -24,6 +24,7 @@ from planspace.embed.embedding import (
     load_embedding,
 )
 from planspace.embed.geometry import (
+    MIN_STATES,
     Geometry,
     bootstrap_intervals,
     measure,
@@ -34,9 +35,10 @@ from planspace.embed.geometry import (
 )
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.embed.principal import principal_components, principal_turn
-from planspace.embed.samples import make_samples
+from planspace.embed.samples import Samples, make_samples
 from planspace.embed.support import Support
 from planspace.embed.training import train
+from planspace.errors import PlanspaceError
 from planspace.store import append_row, open_run, write_bytes
 from planspace.track import Tracker, open_tracker
 
@@ -87,15 +89,13 @@ def fit(
     if config.objective.name == "pca":
         seeds = seeds[:1]  # it has a closed form
     settings = {"demos": demos.hash, "seeds": seeds, "split_seed": split_seed, "fit": asdict(config)}
+    prepared = _prepare(demos, config, split_seed)  # refuses what does not do before anything is written
     open_run(out, settings)
     if (out / DESCRIPTION).exists():
         return load_embedding(out)
-    embeddings = fit_seeds(
-        demos, out, config=config, seeds=seeds, split_seed=split_seed, tensorboard=tensorboard
-    )
-    split = demos.split(split_seed)
-    chosen, validation = choose(embeddings, demos, split, config)
-    used = demos.select(config.columns or demos.info.names)
+    embeddings = _train_seeds(prepared, out, config, seeds, tensorboard)
+    split, used = prepared.split, prepared.demos
+    chosen, validation = choose(embeddings, used, split, config)
     support = Support.fit(
         embeddings[chosen].inputs(used.states[used.rows(split["train"])]),
         embeddings[chosen].inputs(used.states[used.rows(split["validation"])]),
@@ -107,7 +107,7 @@ def fit(
         "settings": settings,
         "problem": demos.info.problem,
         "split": {name: part.tolist() for name, part in split.items()},
-        **measurements(embeddings[chosen], demos, split),
+        **_measurements(embeddings[chosen], used, split),
         "metrics_of_seeds": {str(s): asdict(g) for s, g in zip(seeds, validation, strict=True)},
         "versions": {
             "planspace": planspace.__version__,
@@ -121,25 +121,8 @@ def fit(
     return embedding
 
 
-def measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarray]) -> dict[str, Any]:
-    """The geometry on each split, with intervals on the last, beside the raw state and a constant."""
-    used = demos.select(embedding.inputs.names)
-    return {
-        "metrics": {name: asdict(measure(embedding, demos, part)) for name, part in split.items()},
-        "intervals": {"test": bootstrap_intervals(tabulate(embedding, demos, split["test"]))},
-        "metrics_raw_state": asdict(measure_raw_state(used, split["test"], split["train"])),
-        "metrics_constant": asdict(measure_constant(used, split["test"])),
-    }
-
-
 def fit_seeds(
-    demos: Demos,
-    out: Path,
-    *,
-    config: FitConfig,
-    seeds: Sequence[int],
-    split_seed: int,
-    tensorboard: bool = False,
+    demos: Demos, out: Path, *, config: FitConfig, seeds: Sequence[int], split_seed: int
 ) -> list[Embedding]:
     """Trains the given seeds and returns the embedding of each; `fit` without the choice.
 
@@ -149,28 +132,71 @@ def fit_seeds(
         config: how to train.
         seeds: the seeds; pca has a closed form and makes one embedding, whatever they are.
         split_seed: the seed of the split by demonstration.
-        tensorboard: whether to write the curves for TensorBoard, too.
 
     Raises:
         PlanspaceError: the demonstrations do not do, or a seed diverged.
     """
+    return _train_seeds(_prepare(demos, config, split_seed), out, config, seeds, tensorboard=False)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """Demonstrations ready for training."""
+
+    demos: Demos
+    """With the states the encoder reads alone."""
+    split: dict[str, np.ndarray]
+    inputs: Inputs
+    samples: Samples
+
+    @property
+    def train_states(self) -> np.ndarray:
+        return self.demos.states[self.demos.rows(self.split["train"])]
+
+
+def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
     split = demos.split(split_seed)
     demos = demos.select(config.columns or demos.info.names)
-    info, train_states = demos.info, demos.states[demos.rows(split["train"])]
-    inputs = Inputs.fit(train_states, info.names, info.units, info.circular_columns, config.inputs)
+    lengths = np.diff(demos.offsets)
+    for name, part in split.items():
+        if (lengths[part] < MIN_STATES).all():
+            raise PlanspaceError(
+                f"measuring takes demonstrations of {MIN_STATES} states; the longest of {len(part)} in the "
+                f"{name} split has {lengths[part].max()}. Give longer ones, more of them, or another --seed."
+            )
+    info, states = demos.info, demos.states[demos.rows(split["train"])]
+    inputs = Inputs.fit(states, info.names, info.units, info.circular_columns, config.inputs)
+    return _Prepared(demos, split, inputs, make_samples(demos, split["train"], inputs, config, split_seed))
+
+
+def _train_seeds(
+    prepared: _Prepared, out: Path, config: FitConfig, seeds: Sequence[int], tensorboard: bool
+) -> list[Embedding]:
+    def turned(embedding: Embedding) -> Embedding:
+        if config.z_deviation == 0:
+            return embedding
+        how = {"whitening": config.whitening, "deviation": config.z_deviation}
+        return replace(embedding, turn=principal_turn(embedding, prepared.train_states, **how))
+
+    def to_embeddings(models: PlanSpaceModel) -> list[Embedding]:
+        return [turned(to_numpy(models, i, prepared.inputs, config)) for i in range(len(seeds))]
+
     if config.objective.name == "pca":
-        embeddings = [principal_components(inputs, train_states, config.z_dim)]
-    else:
-        samples = make_samples(demos, split["train"], inputs, config, split_seed)
+        return [turned(principal_components(prepared.inputs, prepared.train_states, config.z_dim))]
+    tracker = open_tracker(out / "tensorboard") if tensorboard else None
+    with tracker or nullcontext():
+        log = _Log(out / LOG, to_embeddings, prepared.demos, prepared.split, config.steps, seeds, tracker)
+        return to_embeddings(train(prepared.samples, config, seeds, out, log))
 
-        def to_embeddings(models: PlanSpaceModel) -> list[Embedding]:
-            return [to_numpy(models, i, inputs, config) for i in range(len(seeds))]
 
-        tracker = open_tracker(out / "tensorboard") if tensorboard else None
-        with tracker or nullcontext():
-            log = _Log(out / LOG, to_embeddings, demos, split, config.steps, seeds, tracker)
-            embeddings = to_embeddings(train(samples, config, seeds, out, log))
-    return [_turned(e, train_states, config) for e in embeddings]
+def _measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The geometry on each split, with intervals on the last, beside the raw state and a constant."""
+    return {
+        "metrics": {name: asdict(measure(embedding, demos, part)) for name, part in split.items()},
+        "intervals": {"test": bootstrap_intervals(tabulate(embedding, demos, split["test"]))},
+        "metrics_raw_state": asdict(measure_raw_state(demos, split["test"], split["train"])),
+        "metrics_constant": asdict(measure_constant(demos, split["test"])),
+    }
 
 
 @dataclass(frozen=True)
@@ -190,7 +216,7 @@ class _Log:
         current = self.to_embeddings(models)
         row = {**terms, "path_error": [paper_path_error(e, self.demos, self.split["train"]) for e in current]}
         every = -(-self.steps // MEASURED)
-        if step // every > before // every:
+        if step // every > before // every or step == self.steps:
             measured = [measure(e, self.demos, self.split["validation"]) for e in current]
             row |= {name: [getattr(g, name) for g in measured] for name in CURVES}
         append_row(self.path, {"step": step, "time": time.time(), **row})
@@ -211,13 +237,6 @@ def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: Fi
     return Embedding(inputs, layers(models.encode), layers(models.decode), config.sigma_floor)
 
 
-def _turned(embedding: Embedding, states: np.ndarray, config: FitConfig) -> Embedding:
-    if config.z_deviation == 0:
-        return embedding
-    how = {"whitening": config.whitening, "deviation": config.z_deviation}
-    return replace(embedding, turn=principal_turn(embedding, states, **how))
-
-
 def choose(
     embeddings: list[Embedding], demos: Demos, split: dict[str, np.ndarray], config: FitConfig
 ) -> tuple[int, list[Geometry]]:
@@ -225,7 +244,5 @@ def choose(
     validation = [measure(e, demos, split["validation"]) for e in embeddings]
     if config.preset == "paper":
         return int(np.argmin([paper_path_error(e, demos, split["train"]) for e in embeddings])), validation
-    scores = [
-        (g.active_dims < config.z_dim, g.midpoint_error) for g in validation
-    ]  # a collapsed seed only if all are
+    scores = [(-g.active_dims, g.midpoint_error) for g in validation]  # a collapsed seed only if all are
     return min(range(len(scores)), key=lambda i: scores[i]), validation

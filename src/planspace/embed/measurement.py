@@ -1,5 +1,6 @@
 """Everything `planspace measure` says of an embedding: geometry by split and beside baselines, and checks."""
 
+import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from planspace.embed.geometry import (
     tabulate,
 )
 from planspace.errors import PlanspaceError
+from planspace.progress import progress
 
 TRUTH_KEYS = ("states", "time", "goal")
 
@@ -42,10 +44,12 @@ def assess(embedding: Embedding, demos: Demos, truth: Path | None = None) -> dic
     used = demos.select(embedding.inputs.names)
     splits = split_of(embedding, demos)
     reference = splits.get("train", np.arange(len(demos)))
-    return {
-        "splits": {name: _beside(embedding, used, part, reference) for name, part in splits.items()},
-        "checks": checks(embedding, used, truth, demos.info.names),
-    }
+    found = {"splits": {}, "checks": checks(embedding, used, truth, demos.info.names)}
+    with progress("measure", len(splits), unit="split") as bar:
+        for name, part in splits.items():
+            found["splits"][name] = _beside(embedding, used, part, reference)
+            bar.update()
+    return found
 
 
 def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
@@ -100,21 +104,23 @@ def load_truth(path: Path, columns: tuple[str, ...]) -> tuple[np.ndarray, np.nda
         PlanspaceError: it cannot be read, lacks an array, or sizes do not fit.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: np.asarray(file[key], dtype=float) for key in TRUTH_KEYS}
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
         raise PlanspaceError(
             f"{path} is no .npz with `states`, `time` and `goal`: {' '.join(str(error).split())}"
         ) from None
     states, time, goal = arrays["states"], arrays["time"], arrays["goal"]
     n = len(columns)
-    if states.shape != (len(time), n) or time.ndim != 1 or goal.shape != (n,):
+    if time.ndim != 1 or states.shape != (len(time), n) or goal.shape != (n,):
         raise PlanspaceError(
             f"{path}: `states` must be [n, {n}] ({', '.join(columns)}), `time` [n] and `goal` [{n}]; got "
             f"{states.shape}, {time.shape} and {goal.shape}."
         )
     if not all(np.isfinite(a).all() for a in arrays.values()):
         raise PlanspaceError(f"{path} holds a number that is not finite.")
+    if len(np.unique(time)) < 2:
+        raise PlanspaceError(f"{path}: `time` needs two different times at least, to be correlated with.")
     return states, time, goal
 
 

@@ -92,7 +92,11 @@ def vae(model: PlanSpaceModel, sample: Sample, config: ObjectiveConfig, key: Key
     Source: Kingma and Welling 2013, equation 10.
     """
     log_likelihood, prior_kl = _autoencode(model, sample.x, key)
-    return {"bound": log_likelihood - prior_kl, "log_likelihood": log_likelihood, "prior_kl": prior_kl}
+    return {
+        "bound": log_likelihood - config.prior * prior_kl,
+        "log_likelihood": log_likelihood,
+        "prior_kl": prior_kl,
+    }
 
 
 def straightening(
@@ -121,7 +125,7 @@ def e2c(model: PlanSpaceModel, sample: Sample, config: ObjectiveConfig, key: Key
     q_next = model.transition(z_a, q_a, sample.control)
     log_likelihood = model.decode(z_a).log_prob(x_a) + model.decode(q_next.sample(key=next_key)).log_prob(x_t)
     prior_kl, dynamics_kl = kl_to_prior(q_a), kl(q_next, q_t)
-    bound = log_likelihood - prior_kl - config.linearity * dynamics_kl
+    bound = log_likelihood - config.prior * prior_kl - config.linearity * dynamics_kl
     return {
         "bound": bound,
         "log_likelihood": log_likelihood,

@@ -54,7 +54,7 @@ def principal_turn(
     mu = embedding.encode(states)
     centre = mu.mean(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((mu - centre).T)))
-    values, vectors = np.maximum(values[::-1], SMALLEST * values.max()), vectors[:, ::-1]
+    values, vectors = np.maximum(values[::-1], SMALLEST * max(values.max(), SMALLEST)), vectors[:, ::-1]
     after = values ** ((1 - whitening) / 2)
     scale = deviation / np.sqrt(np.mean(after**2))
     matrix = scale * vectors * values ** (-whitening / 2)

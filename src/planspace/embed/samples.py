@@ -25,6 +25,8 @@ class Samples(eqx.Module):
     inputs: Float[Array, "row input"]
     controls: Float[Array, "row control"]
     """The control at each state, over its deviation; 0 at the last of a demonstration."""
+    centre: Float[Array, " input"]
+    """The mean of the inputs over the training states."""
     columns: Int[Array, " input"]
     """The column of the state each input comes from."""
     wider: Float[Array, " input"]
@@ -54,8 +56,7 @@ class Samples(eqx.Module):
         chosen = jr.randint(key, (batch, num_columns), 0, len(self.triplets))
         rows = self.triplets[chosen, 1][:, self.columns]
         values = jnp.take_along_axis(self.inputs, rows, axis=0)
-        centre = self.inputs.mean(axis=0)
-        return centre + self.wider * (values - centre)
+        return self.centre + self.wider * (values - self.centre)
 
 
 def make_samples(
@@ -82,14 +83,18 @@ def make_samples(
         triplets = random_triplets(demos, train, NUM_RANDOM, rng)
     mean_duration = np.mean(demos.times[demos.offsets[1:] - 1][train])
     t_a, t_t, t_b = demos.times[triplets].T
-    wider = [1.0 if c in inputs.circular_columns else WIDER for c in inputs.columns]
+    if not (t_b > t_a).all():
+        raise PlanspaceError("the times of a demonstration do not increase; look at planspace demos show.")
+    circles = inputs.circular_columns if inputs.form == "trig" else ()
+    wider = [1.0 if c in circles else WIDER for c in inputs.columns]
     if name == "shuffled":
         triplets = shuffle(triplets, rng)
     return Samples(
         inputs=jnp.asarray(inputs(demos.states), dtype=jnp.float32),
+        centre=jnp.asarray(inputs(demos.states[demos.rows(train)]).mean(axis=0), dtype=jnp.float32),
         columns=jnp.asarray(inputs.columns),
         wider=jnp.asarray(wider, dtype=jnp.float32),
-        controls=jnp.asarray(_controls_of_states(demos, name == "e2c"), dtype=jnp.float32),
+        controls=jnp.asarray(_controls_of_states(demos, train, name == "e2c"), dtype=jnp.float32),
         triplets=jnp.asarray(triplets),
         w=jnp.asarray((t_t - t_a) / (t_b - t_a), dtype=jnp.float32),
         duration=jnp.asarray((t_b - t_a) / mean_duration, dtype=jnp.float32),
@@ -101,7 +106,7 @@ def shuffle(triplets: Int[np.ndarray, "triplet 3"], rng: np.random.Generator) ->
     return np.stack([rng.permutation(column) for column in triplets.T], axis=1)
 
 
-def _controls_of_states(demos: Demos, needed: bool) -> np.ndarray:
+def _controls_of_states(demos: Demos, train: np.ndarray, needed: bool) -> np.ndarray:
     if not needed:
         return np.zeros((len(demos.states), 0))
     if demos.info.num_controls == 0:
@@ -111,6 +116,6 @@ def _controls_of_states(demos: Demos, needed: bool) -> np.ndarray:
     controls = np.zeros((len(demos.states), demos.info.num_controls))
     last = np.zeros(len(demos.states), dtype=bool)
     last[demos.offsets[1:] - 1] = True
-    deviation = demos.controls.std(axis=0)
+    deviation = np.concatenate([demos.episode(int(i)).controls for i in train]).std(axis=0)
     controls[~last] = demos.controls / np.where(deviation > 0, deviation, 1.0)
     return controls

@@ -36,11 +36,11 @@ class Support:
         deviation = train.std(axis=0)
         scale = np.where(deviation > 0, deviation, 1.0)
         chosen = rng.permutation(len(train))[:NUM_POINTS]
-        points = (train[chosen] / scale).astype(np.float32)
+        points = train[chosen] / scale
         radius = float(np.quantile(_nearest(points, validation / scale), QUANTILE))
         return cls(points, scale, radius)
 
-    def outside(self, inputs: Float[np.ndarray, "row input"]) -> Bool[np.ndarray, " row"]:
+    def outside(self, inputs: Float[np.ndarray, "*batch input"]) -> Bool[np.ndarray, "*batch"]:
         """Which of these lie outside.
 
         Raises:
@@ -48,11 +48,14 @@ class Support:
         """
         if not np.isfinite(inputs).all():
             raise PlanspaceError("a state holds a number that is not finite.")
-        return np.asarray(_nearest(self.points, inputs / self.scale) > self.radius)
+        flat = (inputs / self.scale).reshape(-1, inputs.shape[-1])
+        return (_nearest(self.points, flat) > self.radius).reshape(inputs.shape[:-1])
 
 
 def _nearest(points: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Distance of each x to the nearest point."""
+    """Distance of each x to the nearest point; centred, since differences of large squares lose digits."""
+    centre = points.mean(axis=0)
+    points, x = points - centre, x - centre
     squares = np.sum(points**2, axis=1)
     distances = [
         np.min(squares - 2 * block @ points.T, axis=1) + np.sum(block**2, axis=1)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Int, Key
 
 from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.embed.config import FitConfig
@@ -20,7 +20,7 @@ from planspace.embed.samples import Samples
 from planspace.errors import PlanspaceError
 from planspace.progress import progress
 
-CHUNK = 500
+CHUNK = 100
 """Least number of steps compiled into one call; between calls come progress, log and checkpoint."""
 MAX_CHUNKS = 400
 
@@ -58,30 +58,35 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
     Raises:
         PlanspaceError: a seed diverged; the checkpoint holds all seeds as they were before that step.
     """
-    keys = jnp.stack([jr.key(s) for s in seeds])
-    state = init(keys, samples, config)
+    init_keys, keys = jnp.stack([jr.split(jr.key(s)) for s in seeds]).T
+    state = init(init_keys, samples, config)
     first = 0
     saved = load_checkpoint(out, state)
     if saved is not None:
         state, first = saved[0], saved[1]["step"]
     chunk = max(CHUNK, -(-config.steps // MAX_CHUNKS))
+
+    def advance(state: TrainState, first: int, count: int) -> tuple[TrainState, Terms]:
+        # arrays, for a Python number would be compiled in
+        return run_steps(state, jnp.array(first), jnp.array(count), keys, samples, config, chunk)
+
     with progress("embed", config.steps, done=first, unit="step") as bar:
         while first < config.steps:
             length = min(chunk, config.steps - first)
-            before = state
-            state, terms = run_steps(state, keys, samples, jnp.arange(first, first + length), config)
-            if (bad := _first_bad(terms)) is not None:
-                # the update before the bad step broke it: everything is kept as it was before that
-                good, seed = first + max(bad.step - 1, 0), seeds[bad.seed]
-                steps = jnp.arange(first, good)
-                save_checkpoint(out, run_steps(before, keys, samples, steps, config)[0], {"step": good})
-                raise PlanspaceError(
-                    f"training diverged at step {first + bad.step} for seed {seed}; {out} keeps all seeds as "
-                    f"they were before, at step {good}. Try a lower learning rate, or leave this seed out."
-                )
+            after, terms = advance(state, first, length)
+            _, next_terms = advance(after, first + length, 1)  # is `after` still sound?
+            bounds = np.concatenate([terms["bound"][:, :length], next_terms["bound"][:, :1]], axis=1)
+            if not np.isfinite(bounds).all():
+                # a step's bound is taken before its update: the update before the first bad bound broke it
+                bad = int(np.argmin(np.isfinite(bounds).all(axis=0)))
+                good = max(bad - 1, 0)
+                save_checkpoint(out, advance(state, first, good)[0], {"step": first + good})
+                seed = seeds[int(np.argmin(np.isfinite(bounds[:, bad])))]
+                raise _divergence(first + bad, first + good, seed, out)
+            state = after
             first += length
             save_checkpoint(out, state, {"step": first})
-            means = {name: np.asarray(value).mean(axis=1).tolist() for name, value in terms.items()}
+            means = {name: np.asarray(v)[:, :length].mean(axis=1).tolist() for name, v in terms.items()}
             log(first, first - length, state.kept, means)
             bar.update(length)
             bar.set_postfix_str(f"bound {np.mean(means['bound']):.2f}", refresh=False)
@@ -111,12 +116,20 @@ def init(keys: Key[Array, " seed"], samples: Samples, config: FitConfig) -> Trai
 @eqx.filter_jit
 def run_steps(
     state: TrainState,
+    first: Int[Array, ""],
+    count: Int[Array, ""],
     keys: Key[Array, " seed"],
     samples: Samples,
-    steps: Int[Array, " step"],
     config: FitConfig,
-) -> tuple[TrainState, dict[str, Float[Array, "seed step"]]]:
-    """Some optimiser steps for all seeds; the randomness of a step depends on its seed and number alone."""
+    chunk: int,
+) -> tuple[TrainState, Terms]:
+    """Optimiser steps first .. first + count - 1 for all seeds, count at most `chunk`; compiled once for all.
+
+    The randomness of a step depends on its seed and number alone.
+
+    Returns:
+        The state after them, and each term [seed, chunk], of which the first `count` are meant.
+    """
     optimiser = _make_optimiser(config)
     objective = OBJECTIVES[config.objective.name]
 
@@ -140,23 +153,28 @@ def run_steps(
         return TrainState(model, optimiser_state, average), terms
 
     def one_seed(state: TrainState, seed_key: Key[Array, ""]) -> tuple[TrainState, Terms]:
-        return jax.lax.scan(lambda s, i: one_step(s, i, seed_key), state, steps)
+        def body(i: Array, carry: tuple[TrainState, Terms]) -> tuple[TrainState, Terms]:
+            state, history = carry
+            state, terms = one_step(state, first + i, seed_key)
+            return state, jax.tree.map(lambda past, now: past.at[i].set(now), history, terms)
+
+        _, shapes = eqx.filter_eval_shape(one_step, state, first, seed_key)
+        history = {name: jnp.full(chunk, jnp.nan, shape.dtype) for name, shape in shapes.items()}
+        return jax.lax.fori_loop(0, count, body, (state, history))
 
     return eqx.filter_vmap(one_seed)(state, keys)
 
 
-class _Bad(NamedTuple):
-    step: int
-    seed: int
-
-
-def _first_bad(terms: Terms) -> _Bad | None:
-    """The first step of a stretch whose bound is not finite, and for which of the seeds."""
-    finite = np.isfinite(np.asarray(terms["bound"]))
-    if finite.all():
-        return None
-    step = int(np.argmin(finite.all(axis=0)))
-    return _Bad(step, int(np.argmin(finite[:, step])))
+def _divergence(bad: int, good: int, seed: int, out: Path) -> PlanspaceError:
+    if bad == 0:
+        return PlanspaceError(
+            f"the objective is not finite for seed {seed} before the first step; look at the demonstrations' "
+            "times and numbers (planspace demos show)."
+        )
+    return PlanspaceError(
+        f"training diverged at step {bad} for seed {seed}; {out} keeps all seeds as they were before, at "
+        f"step {good}. Try a lower --learning-rate or other seeds, in another folder."
+    )
 
 
 def _make_optimiser(config: FitConfig) -> optax.GradientTransformation:

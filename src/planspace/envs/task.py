@@ -44,6 +44,11 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._renderer: mujoco.Renderer | None = None
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the numbers of `state`."""
+        return self._batch.simulator.space.names
+
+    @property
     def state(self) -> np.ndarray:
         """The planning state now."""
         return self._batch.states[0].copy()

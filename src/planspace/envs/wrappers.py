@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from planspace.embed.embedding import load_embedding
-from planspace.errors import UsageError
+from planspace.errors import PlanspaceError, UsageError
 
 
 class PlanSpaceObservation(
@@ -31,7 +31,8 @@ class PlanSpaceObservation(
             embedding: the embedding's folder.
             mode: `augment` appends z to the observation, `replace` gives z alone.
             columns: which numbers of the observation make the embedding's state, in its order; by default
-                the state is read from the environment's attribute `state`, as planspace's own have it.
+                the state is read from the environment's attribute `state`, as planspace's own have it; of
+                one that has `state_names`, too, the numbers are taken by name.
 
         Raises:
             UsageError: the state cannot be read that way or has another size, the observation is not a flat
@@ -59,7 +60,8 @@ class PlanSpaceObservation(
 
     def observation(self, observation: np.ndarray) -> np.ndarray:
         """The observation with z."""
-        state = self.unwrapped.state if self._columns is None else observation[self._columns]  # pyright: ignore
+        env: Any = self.unwrapped
+        state = env.state[self._of_state] if self._columns is None else observation[self._columns]
         z = self.embedding.encode(state)
         seen = z if self._mode == "replace" else np.append(observation, z)
         return seen.astype(np.float32)
@@ -71,6 +73,14 @@ class PlanSpaceObservation(
                 "the environment has no attribute `state` to read; give columns=[...], the numbers of the "
                 f"observation that are ({', '.join(wanted)})."
             )
+        self._of_state: slice | list[int] = slice(None)
+        names = getattr(self.unwrapped, "state_names", None)
+        if self._columns is None and names is not None:
+            try:
+                self._of_state = list(self.embedding.columns_of(names))
+            except PlanspaceError as error:
+                raise UsageError(str(error)) from None
+            return
         got = len(self._columns) if self._columns is not None else np.size(self.unwrapped.state)  # pyright: ignore
         if got != len(wanted):
             raise UsageError(f"the embedding reads {len(wanted)} numbers ({', '.join(wanted)}), got {got}.")

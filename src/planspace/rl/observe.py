@@ -1,6 +1,7 @@
 """What an agent sees: the task's observation, sin and cos if asked for, and z; and which part sees which."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -34,7 +35,7 @@ class Observer:
             return
         if self.embedding is None:
             raise UsageError(f"z is {self.z!r}, which needs an embedding: give --embedding DIR.")
-        self._embedded_columns(self.embedding)
+        _ = self._embedded_columns
 
     def __call__(
         self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
@@ -45,7 +46,7 @@ class Observer:
             observe = self.task.observe if self.obs == "raw" else self.task.observe_trig
             parts.append(observe(states, targets))
         if self.embedding is not None and self.z != "none":
-            parts.append(self.embedding.encode(states[:, self._embedded_columns(self.embedding)]))
+            parts.append(self.embedding.encode(states[:, self._embedded_columns]))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     @property
@@ -58,11 +59,13 @@ class Observer:
         """The columns the critic reads."""
         return self._columns("critic")
 
-    def _embedded_columns(self, embedding: Embedding) -> list[int]:
+    @cached_property
+    def _embedded_columns(self) -> list[int]:
         """Where in the task's state the embedding's states are."""
+        assert self.embedding is not None
         _, space = self.task.compile()
         try:
-            return list(embedding.columns_of(space.names))
+            return list(self.embedding.columns_of(space.names))
         except PlanspaceError as error:
             raise UsageError(f"task {self.task.name}: {error}") from None
 
