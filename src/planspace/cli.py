@@ -368,8 +368,11 @@ class Measure:
         from planspace.demos.dataset import load_demos
         from planspace.embed.embedding import load_embedding
         from planspace.embed.measurement import assess
+        from planspace.store import make_folder
 
         demos, embedding = load_demos(self.demos), load_embedding(self.embedding)
+        if self.plot is not None:
+            make_folder(self.plot)
         found = assess(embedding, demos, self.truth)
         if self.plot is not None:
             from planspace.study.portrait import draw_embedding

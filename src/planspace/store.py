@@ -174,7 +174,7 @@ def append_row(path: Path, row: Mapping[str, Any]) -> None:
 
 
 def _ends_in_newline(path: Path) -> bool:
-    with open(path, "rb") as file:
+    with open(path, "rb", buffering=0) as file:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
 

@@ -124,7 +124,7 @@ def test_arms_with_z_train(embedding: Embedding, tmp_path: Path) -> None:
 def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="z is 'augment', which needs an embedding"):
         train(replace(SWING_UP, z="augment"), tmp_path / "a")
-    with pytest.raises(UsageError, match=r"reads the states \(slider, .*task reacher-raw has \(joint0"):
+    with pytest.raises(UsageError, match=r"task reacher-raw: .*reads .*\(slider, .*these have 4 \(joint0"):
         train(replace(SWING_UP, task="reacher-raw", z="replace"), tmp_path / "b", embedding)
     with pytest.raises(UsageError, match="must be at least 1, got 0 and"):
         replace(SWING_UP, num_seeds=0)
