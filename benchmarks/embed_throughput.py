@@ -56,7 +56,7 @@ def prepare(num_seeds: int, steps: int):
 
     def advance() -> None:
         nonlocal state
-        state, _ = run_steps(state, keys, samples, jnp.arange(steps), config)
+        state, _ = run_steps(state, jnp.array(0), jnp.array(steps), keys, samples, config, steps)
         jax.block_until_ready(state.model.log_scale)
 
     advance()  # compiles
