@@ -109,16 +109,16 @@ def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:
     of = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS, "steps": STEPS, "last": LAST}
     unit = RESULTS / f"{json_hash(of)[:16]}.json"
     result = read_json(unit) if unit.exists() else {}
-    arms = {str(i): result.get("returns", {}).get(str(i), []) for i in range(_arms(name, arguments))}
-    arms = {**result.get("returns", {}), **arms}
-    missing = [i for i in range(_arms(name, arguments)) if len(arms[str(i)]) < arguments.policies]
+    arms = result.get("returns", {})
+    missing = [i for i in range(_arms(name, arguments)) if len(arms.get(str(i), [])) < arguments.policies]
     if result and not missing:
         return result
     embeddings, result = embeddings_of(name, config, demos)
     write_json(unit, {**result, "returns": arms})
     for i in missing:
-        have = len(arms[str(i)])
-        arms[str(i)] += policy_returns(embeddings[i], have, arguments.policies - have)
+        have = arms.get(str(i), [])
+        more = policy_returns(embeddings[i], len(have), arguments.policies - len(have))
+        arms[str(i)] = have + more
         write_json(unit, {**result, "returns": arms})
     return {**result, "returns": arms}
 

@@ -23,6 +23,8 @@ Arrays = dict[str, np.ndarray]
 
 TEMPORARY_PREFIX = ".writing-"
 CHECKSUM_KEY = "checksum"
+CONFIG = "config.json"
+"""The settings a run was started with; see `open_run`."""
 
 
 # --- one file ---------------------------------------------------------------------------------------
@@ -211,7 +213,7 @@ def open_run(path: Path, config: Mapping[str, Any]) -> Path:
             (each difference is named).
     """
     make_folder(path)
-    kept = path / "config.json"
+    kept = path / CONFIG
     config = json.loads(json.dumps(config))
     if not kept.exists():
         strangers = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]

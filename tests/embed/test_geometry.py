@@ -14,7 +14,7 @@ from planspace.embed.geometry import (
     measure_constant,
     measure_each,
     measure_raw_state,
-    paper_path_error,
+    paper_path_errors,
     scaled_errors,
     summarise,
     tabulate,
@@ -108,7 +108,7 @@ def test_intervals_hold_the_value_and_shrink_with_more_demonstrations() -> None:
 
 def test_the_path_error_alone_is_the_same(embedding: Embedding, demos: Demos) -> None:
     part = np.array([0, 3, 5])
-    assert paper_path_error(embedding, demos, part) == pytest.approx(
+    assert paper_path_errors([embedding], demos, part)[0] == pytest.approx(
         measure(embedding, demos, part).path_error
     )
 

@@ -1,9 +1,8 @@
 """How an embedding is trained: settings and presets. Imports no JAX, so that `--help` answers at once."""
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
-
-import numpy as np
 
 from planspace.embed.embedding import InputForm
 from planspace.errors import UsageError
@@ -100,11 +99,11 @@ class FitConfig:
                 "z_dim, steps, batch, hidden: 1 or more",
             ),
             (min(self.spacings, default=1) < 1, "spacings: 1 step or more"),
-            (not all(0 <= w < np.inf for w in weights), "weights of the objective: 0 or more"),
-            (not 0 < self.learning_rate < np.inf, "learning_rate: above 0"),
+            (not all(0 <= w < math.inf for w in weights), "weights of the objective: 0 or more"),
+            (not 0 < self.learning_rate < math.inf, "learning_rate: above 0"),
             (self.clip_norm is not None and not self.clip_norm > 0, "clip_norm: above 0"),
-            (not 0 <= self.sigma_floor < np.inf, "sigma_floor: 0 or more"),
-            (not 0 <= self.z_deviation < np.inf, "z_deviation: 0 or more"),
+            (not 0 <= self.sigma_floor < math.inf, "sigma_floor: 0 or more"),
+            (not 0 <= self.z_deviation < math.inf, "z_deviation: 0 or more"),
             (not 0 <= self.average < 1, "average: from 0 to below 1"),
             (not 0 <= o.balance <= 1, "balance: from 0 to 1"),
             (not 0 <= self.whitening <= 1, "whitening: from 0 to 1"),

@@ -17,8 +17,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.embed.support import Support
-from planspace.errors import PlanspaceError
-from planspace.store import Arrays, make_folder, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.errors import PlanspaceError, UsageError
+from planspace.store import (
+    CONFIG,
+    Arrays,
+    make_folder,
+    read_arrays,
+    read_sealed,
+    write_arrays,
+    write_sealed,
+)
 
 SCHEMA = 2
 WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
@@ -169,10 +177,10 @@ class Embedding:
             names: the names of a state's numbers.
 
         Raises:
-            PlanspaceError: one it reads is not among them.
+            UsageError: one it reads is not among them.
         """
         if missing := [name for name in self.inputs.names if name not in names]:
-            raise PlanspaceError(
+            raise UsageError(
                 f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
                 f"these have {len(names)} ({', '.join(names)}): {missing[0]!r} is missing."
             )
@@ -291,7 +299,7 @@ def load_embedding(path: str | Path) -> Embedding:
     """
     path = Path(path)
     if not (path / DESCRIPTION).exists():
-        if (path / "config.json").exists():
+        if (path / CONFIG).exists():
             raise PlanspaceError(f"{path} is being trained, or was interrupted: run the same command again.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
     text = read_sealed(path / DESCRIPTION)

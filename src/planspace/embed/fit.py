@@ -30,7 +30,7 @@ from planspace.embed.geometry import (
     measure,
     measure_constant,
     measure_raw_state,
-    paper_path_error,
+    paper_path_errors,
     tabulate,
 )
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
@@ -97,8 +97,8 @@ def fit(
     split, used = prepared.split, prepared.demos
     chosen, validation = choose(embeddings, used, split, config)
     support = Support.fit(
-        embeddings[chosen].inputs(used.states[used.rows(split["train"])]),
-        embeddings[chosen].inputs(used.states[used.rows(split["validation"])]),
+        prepared.inputs(prepared.train_states),
+        prepared.inputs(used.states[used.rows(split["validation"])]),
         np.random.default_rng(np.random.SeedSequence([split_seed, 2])),
     )
     about = {
@@ -146,12 +146,9 @@ class _Prepared:
     demos: Demos
     """With the states the encoder reads alone."""
     split: dict[str, np.ndarray]
+    train_states: np.ndarray
     inputs: Inputs
     samples: Samples
-
-    @property
-    def train_states(self) -> np.ndarray:
-        return self.demos.states[self.demos.rows(self.split["train"])]
 
 
 def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
@@ -166,7 +163,8 @@ def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
             )
     info, states = demos.info, demos.states[demos.rows(split["train"])]
     inputs = Inputs.fit(states, info.names, info.units, info.circular_columns, config.inputs)
-    return _Prepared(demos, split, inputs, make_samples(demos, split["train"], inputs, config, split_seed))
+    samples = make_samples(demos, split["train"], inputs, config, split_seed)
+    return _Prepared(demos, split, states, inputs, samples)
 
 
 def _train_seeds(
@@ -214,7 +212,7 @@ class _Log:
     def __call__(self, step: int, before: int, models: PlanSpaceModel, terms: dict[str, list[float]]) -> None:
         """Appends a row for the steps from `before` to `step`: numbers by name, one for each seed."""
         current = self.to_embeddings(models)
-        row = {**terms, "path_error": [paper_path_error(e, self.demos, self.split["train"]) for e in current]}
+        row = {**terms, "path_error": paper_path_errors(current, self.demos, self.split["train"])}
         every = -(-self.steps // MEASURED)
         if step // every > before // every or step == self.steps:
             measured = [measure(e, self.demos, self.split["validation"]) for e in current]
@@ -243,6 +241,6 @@ def choose(
     """The seed to keep, and the validation metrics of all."""
     validation = [measure(e, demos, split["validation"]) for e in embeddings]
     if config.preset == "paper":
-        return int(np.argmin([paper_path_error(e, demos, split["train"]) for e in embeddings])), validation
+        return int(np.argmin(paper_path_errors(embeddings, demos, split["train"]))), validation
     scores = [(-g.active_dims, g.midpoint_error) for g in validation]  # a collapsed seed only if all are
     return min(range(len(scores)), key=lambda i: scores[i]), validation

@@ -5,7 +5,7 @@ to go would score well), so the effective rank and the decoded error stand besid
 used. Definitions: the design's geometry section; `path_error` is the paper's (equations 10 and 11).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import NamedTuple
 
@@ -183,14 +183,16 @@ def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Inter
     return {name: (float(low), float(high)) for name, (low, high) in quantiles.items()}
 
 
-def paper_path_error(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> float:
-    """`path_error` alone, which takes two states of a demonstration: cheap enough to watch training by."""
-    demos = demos.select(embedding.inputs.names)
+def paper_path_errors(
+    embeddings: Sequence[Embedding], demos: Demos, episodes: Int[np.ndarray, " demo"]
+) -> list[float]:
+    """`path_error` alone of embeddings that read the same states: cheap enough to watch training by."""
+    demos = demos.select(embeddings[0].inputs.names)
     measured = episodes[np.diff(demos.offsets)[episodes] >= MIN_STATES]
     first, last = demos.offsets[measured], demos.offsets[measured + 1] - 1
-    chord = embedding.distance(demos.states[first], demos.states[last])
     length = np.array([_steps(demos.episode(int(i)).states).sum() for i in measured])
-    return float(scaled_errors(chord, length).mean())
+    chords = [e.distance(demos.states[first], demos.states[last]) for e in embeddings]
+    return [float(scaled_errors(chord, length).mean()) for chord in chords]
 
 
 def scaled_errors(d: Float[np.ndarray, " demo"], y: Float[np.ndarray, " demo"]) -> np.ndarray:

@@ -69,7 +69,8 @@ def variational(model: PlanSpaceModel, sample: Sample, config: ObjectiveConfig, 
         terms["distance_error"] = (_norm(q_b.mu - q_a.mu) / model.scale - sample.duration) ** 2
         bound -= config.distance * terms["distance_error"]
     if config.anywhere:
-        terms["anywhere"] = _bound_anywhere(model, sample.anywhere, config.prior, anywhere_key)
+        log_p, divergence = _autoencode(model, sample.anywhere, anywhere_key)
+        terms["anywhere"] = log_p - config.prior * divergence
         bound += config.anywhere * terms["anywhere"]
     return {"bound": bound, **terms}
 
@@ -91,7 +92,8 @@ def vae(model: PlanSpaceModel, sample: Sample, config: ObjectiveConfig, key: Key
 
     Source: Kingma and Welling 2013, equation 10.
     """
-    log_likelihood, prior_kl = _autoencode(model, sample.x, key)
+    log_p, divergence = jax.vmap(lambda x, k: _autoencode(model, x, k))(sample.x, jr.split(key, 3))
+    log_likelihood, prior_kl = log_p.sum(), divergence.sum()
     return {
         "bound": log_likelihood - config.prior * prior_kl,
         "log_likelihood": log_likelihood,
@@ -190,29 +192,16 @@ def _curvature(z_a: Array, z_t: Array, z_b: Array) -> Float[Array, ""]:
     return 1 - jnp.dot(first, second) / (_norm(first) * _norm(second))
 
 
-def _bound_anywhere(
-    model: PlanSpaceModel, x: Float[Array, " input"], prior: float, key: Key[Array, ""]
-) -> Float[Array, ""]:
-    """Log p of a state given its own sample, less the weighed KL to the prior."""
-    q = model.encode(x)
-    return model.decode(q.sample(key=key)).log_prob(x) - prior * kl_to_prior(q)
-
-
 def _norm(x: Float[Array, " dim"]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.sum(x**2) + SMALL)
 
 
 def _autoencode(
-    model: PlanSpaceModel, x: Float[Array, "3 input"], key: Key[Array, ""]
+    model: PlanSpaceModel, x: Float[Array, " input"], key: Key[Array, ""]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Log p of the states given their own samples, and KL to the prior, summed."""
-
-    def one(x: Array, key: Key[Array, ""]) -> tuple[Array, Array]:
-        q = model.encode(x)
-        return model.decode(q.sample(key=key)).log_prob(x), kl_to_prior(q)
-
-    log_likelihood, prior_kl = jax.vmap(one)(x, jr.split(key, len(x)))
-    return log_likelihood.sum(), prior_kl.sum()
+    """Log p of a state given its own sample, and KL to the prior."""
+    q = model.encode(x)
+    return model.decode(q.sample(key=key)).log_prob(x), kl_to_prior(q)
 
 
 def _read_out(model: PlanSpaceModel, x: Float[Array, "3 input"]) -> Float[Array, ""]:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from planspace.embed.embedding import load_embedding
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import UsageError
 
 
 class PlanSpaceObservation(
@@ -53,7 +53,7 @@ class PlanSpaceObservation(
             raise UsageError(
                 f"the observation must be a flat Box, got {space}; wrap FlattenObservation first."
             )
-        self._check_state(space.shape[0])
+        self._of_state = self._find_state(space.shape[0])
         z = np.full(self.embedding.z_dim, np.inf, dtype=np.float32)
         low, high = (-z, z) if mode == "replace" else (np.append(space.low, -z), np.append(space.high, z))
         self.observation_space = Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -61,28 +61,25 @@ class PlanSpaceObservation(
     def observation(self, observation: np.ndarray) -> np.ndarray:
         """The observation with z."""
         env: Any = self.unwrapped
-        state = env.state[self._of_state] if self._columns is None else observation[self._columns]
-        z = self.embedding.encode(state)
+        source = env.state if self._columns is None else observation
+        z = self.embedding.encode(source[self._of_state])
         seen = z if self._mode == "replace" else np.append(observation, z)
         return seen.astype(np.float32)
 
-    def _check_state(self, num_obs: int) -> None:
+    def _find_state(self, num_obs: int) -> slice | list[int]:
+        """Where the embedding's numbers are in the observation, or in the environment's state."""
         wanted = self.embedding.inputs.names
         if self._columns is None and not hasattr(self.unwrapped, "state"):
             raise UsageError(
                 "the environment has no attribute `state` to read; give columns=[...], the numbers of the "
                 f"observation that are ({', '.join(wanted)})."
             )
-        self._of_state: slice | list[int] = slice(None)
         names = getattr(self.unwrapped, "state_names", None)
         if self._columns is None and names is not None:
-            try:
-                self._of_state = list(self.embedding.columns_of(names))
-            except PlanspaceError as error:
-                raise UsageError(str(error)) from None
-            return
+            return list(self.embedding.columns_of(names))
         got = len(self._columns) if self._columns is not None else np.size(self.unwrapped.state)  # pyright: ignore
         if got != len(wanted):
             raise UsageError(f"the embedding reads {len(wanted)} numbers ({', '.join(wanted)}), got {got}.")
         if self._columns is not None and not all(0 <= c < num_obs for c in self._columns):
             raise UsageError(f"columns {self._columns} reach outside an observation of {num_obs} numbers.")
+        return slice(None) if self._columns is None else self._columns

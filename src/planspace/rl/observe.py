@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.embed.embedding import Embedding
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import UsageError
 from planspace.tasks import ObsForm, Task
 
 ZMode = Literal["none", "augment", "replace"]
@@ -66,7 +66,7 @@ class Observer:
         _, space = self.task.compile()
         try:
             return list(self.embedding.columns_of(space.names))
-        except PlanspaceError as error:
+        except UsageError as error:
             raise UsageError(f"task {self.task.name}: {error}") from None
 
     def _columns(self, reader: str) -> slice:

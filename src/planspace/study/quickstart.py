@@ -17,7 +17,7 @@ from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
 from planspace.rl.train import TrainConfig, train
-from planspace.store import Arrays, open_run, read_json, write_json
+from planspace.store import CONFIG, Arrays, open_run, read_json, write_json
 from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task
 
@@ -118,7 +118,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
 
 def rebuild(out: Path) -> dict[str, Any]:
     """Writes the report of a finished run anew, from what its folder holds."""
-    config = read_json(out / "config.json")
+    config = read_json(out / CONFIG)
     if config.get("command") != "run":
         raise PlanspaceError(f"{out} is not the folder of a `planspace run`.")
     return run(config["task"], config["budget"], out, config["seed"])
