@@ -1,8 +1,10 @@
 """Fixtures: small real artefacts, made once a session."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -22,6 +24,15 @@ QUICK_PLANNER = PlannerConfig(
     restarts=1, sst=SSTConfig(extensions=256), polish=PolishConfig(max_iterations=15)
 )
 QUICK_FIT = replace(PRESETS["modern"], steps=300, batch=64)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiled programs are kept between tests, subprocesses and runs."""
+    assert config.cache is not None
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(config.cache.mkdir("jax"))
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
 @pytest.fixture(scope="session")

@@ -305,15 +305,20 @@ class Embed:
     """Adam's rate."""
     tensorboard: bool = False
     """Write the curves for TensorBoard in DIR/tensorboard, too (extra `track`); log.jsonl has them always."""
+    device: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: JAX's)")] = ""
+    """The JAX device to compute on: cpu, cuda, tpu. Networks this small are at home on a CPU."""
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
         from planspace.demos.dataset import load_demos
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
+        from planspace.embed.training import use_device
 
         if min(self.z_dim, self.seeds) < 1 or self.seed < 0:
             raise UsageError("--z-dim and --seeds must be at least 1, --seed at least 0.")
+        if self.device:
+            use_device(self.device)
         config = PRESETS[self.preset].changed(
             z_dim=self.z_dim,
             columns=self.columns,

@@ -10,6 +10,8 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
+from planspace.cores import count_cores
+
 PACKAGES = ("planspace", "mujoco", "jax", "equinox", "optax", "gymnasium", "numpy", "scipy", "safetensors")
 
 EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -48,7 +50,7 @@ def examine() -> list[Finding]:
     """Looks at the machine; takes a second or two."""
     findings = [
         Finding("python", platform.python_version(), sys.version_info >= (3, 11), "planspace needs 3.11."),
-        Finding("cores", str(os.cpu_count()), True),
+        Finding("cores", str(count_cores()), True),
     ]
     findings += [Finding(name, importlib.metadata.version(name), True) for name in PACKAGES]
     findings += [_batch(), _rendering()]

@@ -7,6 +7,7 @@ import numpy as np
 import optax
 import pytest
 
+from planspace.checkpoint import FILE
 from planspace.demos.dataset import Demos, Episode
 from planspace.embed import fit as module
 from planspace.embed import training
@@ -64,6 +65,29 @@ def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path)
     a = alone.about["metrics_of_seeds"]["1"]["straightness"]
     b = beside.about["metrics_of_seeds"]["1"]["straightness"]
     assert a == pytest.approx(b, rel=1e-3)  # batched arithmetic rounds otherwise, no more
+
+
+@pytest.mark.parametrize("num_seeds", [1, 2, 3, 4, 5, 7, 20, 50])
+def test_seeds_are_stepped_in_twos_and_threes(num_seeds: int) -> None:
+    groups = [range(num_seeds)[g] for g in training.seed_groups(num_seeds)]
+    assert [seed for group in groups for seed in group] == list(range(num_seeds))
+    assert {len(group) for group in groups} <= ({2, 3} if num_seeds > 1 else {1})
+
+
+def test_the_number_of_cores_does_not_matter_to_the_last_bit(
+    demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(QUICK_FIT, steps=CHUNK, batch=16)
+    for cores in (1, 2):
+        monkeypatch.setattr(training, "count_cores", lambda cores=cores: cores)
+        fit(demos, tmp_path / str(cores), config=config, num_seeds=5, seed=0)
+    hashes = {file_hash(tmp_path / str(cores) / FILE) for cores in (1, 2)}
+    assert len(hashes) == 1
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(UsageError, match="no device 'abacus'"):
+        training.use_device("abacus")
 
 
 def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None:

@@ -276,12 +276,16 @@ class DemoFolder:
         )
 
 
-def load_demos(path: Path) -> Demos:
+def load_demos(path: str | Path) -> Demos:
     """Reads a dataset and verifies every shard.
+
+    Args:
+        path: its folder.
 
     Raises:
         PlanspaceError: no dataset, a newer schema, or a missing or altered shard (which is named).
     """
+    path = Path(path)
     manifest = _read_manifest(path)
     if not manifest["shards"]:
         raise PlanspaceError(f"{path} holds no demonstrations.")

@@ -106,5 +106,5 @@ def _layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], lis
 
 def _forward(weights: list[Array], biases: list[Array], x: Array) -> Array:
     for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        x = jax.nn.relu(weight @ x + bias)
-    return weights[-1] @ x + biases[-1]
+        x = jax.nn.relu(x @ weight.T + bias)
+    return x @ weights[-1].T + biases[-1]

@@ -1,6 +1,8 @@
 """Training all seeds of an embedding at once, in compiled stretches; the only place with an axis of seeds."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +15,12 @@ import optax
 from jaxtyping import Array, Int, Key
 
 from planspace.checkpoint import load_checkpoint, save_checkpoint
+from planspace.cores import count_cores
 from planspace.embed.config import FitConfig
 from planspace.embed.networks import PlanSpaceModel
 from planspace.embed.objectives import OBJECTIVES, Terms
 from planspace.embed.samples import Samples
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress
 
 CHUNK = 100
@@ -66,10 +69,7 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
         state, first = saved[0], saved[1]["step"]
     chunk = max(CHUNK, -(-config.steps // MAX_CHUNKS))
 
-    def advance(state: TrainState, first: int, count: int) -> tuple[TrainState, Terms]:
-        # arrays, for a Python number would be compiled in
-        return run_steps(state, jnp.array(first), jnp.array(count), keys, samples, config, chunk)
-
+    advance = make_advance(keys, samples, config, chunk)
     with progress("embed", config.steps, done=first, unit="step") as bar:
         while first < config.steps:
             length = min(chunk, config.steps - first)
@@ -93,6 +93,34 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
     return state.kept
 
 
+def use_device(platform: str) -> None:
+    """Has JAX compute on the first device of a platform from now on.
+
+    Args:
+        platform: cpu, gpu, cuda, tpu; whatever the JAX that is installed knows.
+
+    Raises:
+        UsageError: there is no such device.
+    """
+    try:
+        jax.config.update("jax_default_device", jax.devices(platform)[0])
+    except RuntimeError as error:
+        have = ", ".join(sorted({"cpu", jax.default_backend()}))
+        raise UsageError(f"no device {platform!r} for the JAX that is installed; it has {have}.") from error
+
+
+def seed_groups(num_seeds: int) -> list[slice]:
+    """The seeds that are stepped together: two or three on a CPU, elsewhere all.
+
+    XLA makes little use of a second core on networks this small; threads with a group each do. The groups are
+    the same whatever the number of cores, for rounding may depend on a group's size.
+    """
+    device = jax.config.jax_default_device or jax.devices()[0]
+    count = -(-num_seeds // 3) if device.platform == "cpu" else 1
+    edges = [round(i * num_seeds / count) for i in range(count + 1)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
 @eqx.filter_jit
 def init(keys: Key[Array, " seed"], samples: Samples, config: FitConfig) -> TrainState:
     """Fresh weights for each seed."""
@@ -111,6 +139,26 @@ def init(keys: Key[Array, " seed"], samples: Samples, config: FitConfig) -> Trai
         return TrainState(model, optimiser, model if config.average else None)
 
     return eqx.filter_vmap(init_one)(keys)
+
+
+def make_advance(
+    keys: Key[Array, " seed"], samples: Samples, config: FitConfig, chunk: int
+) -> Callable[[TrainState, int, int], tuple[TrainState, Terms]]:
+    """`run_steps` for any number of seeds: the groups shared out among threads."""
+    groups = seed_groups(len(keys))
+    pool = ThreadPoolExecutor(min(len(groups), count_cores()))
+
+    def advance(state: TrainState, first: int, count: int) -> tuple[TrainState, Terms]:
+        def advance_group(group: slice) -> Any:
+            part = jax.tree.map(lambda a: np.asarray(a)[group], state)
+            # arrays, for a Python number would be compiled in
+            done = run_steps(part, jnp.array(first), jnp.array(count), keys[group], samples, config, chunk)
+            return jax.tree.map(np.asarray, done)
+
+        parts = pool.map(advance_group, groups)
+        return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+
+    return advance
 
 
 @eqx.filter_jit

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 import planspace
+from planspace.cores import count_cores
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
@@ -190,7 +191,7 @@ def _plan_all(
         for i in indices:
             yield plan_one(problem, config, seed, i)
         return
-    workers = min(workers or os.cpu_count() or 1, len(indices))
+    workers = min(workers or count_cores(), len(indices))
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
     with (
         _one_thread_each(),
