@@ -13,9 +13,10 @@ Every unit is kept in results/embedding/ under the hash of what it depends on; t
 
 import argparse
 import tempfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import matplotlib.figure
 import numpy as np
 
 from planspace.demos.dataset import Demos, load_demos
@@ -60,6 +61,12 @@ CANDIDATES: dict[str, FitConfig] = {
     "lambda 32": MODERN.changed(linearity=32.0),
     "prior 1": MODERN.changed(prior=1.0),
     "prior 0.01": MODERN.changed(prior=0.01),
+    "near 0": MODERN.changed(near=0.0),
+    "near 0, lambda 0.5": MODERN.changed(near=0.0, linearity=0.5),
+    "near 0, lambda 2": MODERN.changed(near=0.0, linearity=2.0),
+    "near 1": MODERN.changed(near=1.0),
+    "near 1, lambda 32": MODERN.changed(near=1.0, linearity=32.0),
+    "mirrored": MODERN,
     "spacings 1, 3, 5, 10, 30": MODERN.changed(spacings=PAPER_SPACINGS),
     "raw inputs": MODERN.changed(inputs="raw"),
     "standardised inputs": MODERN.changed(inputs="standard"),
@@ -81,16 +88,26 @@ CANDIDATES: dict[str, FitConfig] = {
     "random": MODERN.changed(name="random"),
     "shuffled": MODERN.changed(name="shuffled"),
 }
-"""Each is `modern` with what its name says; `BASELINE` is what `modern` must not fall behind."""
+"""Each is `modern` with what its name says; `BASELINE` is what `modern` must not fall behind. `mirrored` has
+the mirror image of every training demonstration as well."""
 
 
 def embeddings_of(name: str, config: FitConfig, demos: Demos) -> tuple[list[Embedding], dict]:
-    """The embeddings of all seeds, and their validation geometry, from the results if it is there."""
+    """The embeddings of all seeds, and their validation geometry."""
+    trained_on = with_mirror_images(demos) if name == "mirrored" else demos
     with tempfile.TemporaryDirectory() as folder:
-        embeddings = fit_seeds(demos, Path(folder), config=config, seeds=list(range(NUM_SEEDS)), split_seed=0)
+        out, seeds = Path(folder), list(range(NUM_SEEDS))
+        embeddings = fit_seeds(trained_on, out, config=config, seeds=seeds, split_seed=0)
     validation = demos.split(0)["validation"]
     geometry = [asdict(measure(e, demos, validation)) for e in embeddings]
     return embeddings, {"candidate": name, "fit": asdict(config), "validation": geometry}
+
+
+def with_mirror_images(demos: Demos) -> Demos:
+    """The training demonstrations, and each with left and right exchanged: a swing-up negated is another."""
+    episodes = [demos.episode(int(i)) for i in demos.split(0)["train"]]
+    mirrored = [replace(e, states=-e.states, controls=-e.controls, goal=-e.goal) for e in episodes]
+    return Demos.from_episodes(demos.info, episodes + mirrored)
 
 
 def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
@@ -106,7 +123,8 @@ def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
 def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:
     """One candidate, as far as the results do not hold it yet."""
     config = CANDIDATES[name]
-    of = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS, "steps": STEPS, "last": LAST}
+    of = {"name": name} if name == "mirrored" else {}
+    of |= {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS, "steps": STEPS, "last": LAST}
     unit = RESULTS / f"{json_hash(of)[:16]}.json"
     result = read_json(unit) if unit.exists() else {}
     arms = result.get("returns", {})
@@ -139,6 +157,27 @@ def paired_interval(a: dict, b: dict, rng: np.random.Generator) -> tuple[float, 
     return float(difference.mean()), *np.quantile(draws, [0.05, 0.95])
 
 
+def plot_trade_off(results: dict[str, dict]) -> matplotlib.figure.Figure:
+    """Return over straightness: what a straighter z costs a policy."""
+    figure = matplotlib.figure.Figure(figsize=(7, 4.6), layout="constrained")
+    axes = figure.subplots()
+    for name, result in results.items():
+        arms = [arm for arm in result["returns"].values() if arm]
+        if not arms:
+            continue
+        straightness = np.array([g["straightness"] for g in result["validation"]])
+        returns = np.concatenate(arms)
+        error = returns.std(ddof=1) / np.sqrt(len(returns))
+        colour = "crimson" if name in ("modern", BASELINE) else "0.35"
+        axes.errorbar(straightness.mean(), returns.mean(), error, straightness.std(), "o", color=colour, ms=4)
+        at = (straightness.mean(), returns.mean())
+        axes.annotate(name, at, xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour)
+    axes.set_xlabel("straightness on validation demonstrations (bars: deviation over five seeds)")
+    axes.set_ylabel("return of the policy (bars: standard error)")
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -148,6 +187,7 @@ def main() -> None:
     parser.add_argument("--embeddings", type=int, default=1)
     parser.add_argument("--policies", type=int, default=15)
     parser.add_argument("--fit-only", action="store_true")
+    parser.add_argument("--plot", type=Path, help="draw return over straightness into this file")
     arguments = parser.parse_args()
     make_folder(RESULTS)
     demos, rng = load_demos(arguments.demos), np.random.default_rng(0)
@@ -170,6 +210,8 @@ def main() -> None:
             cells.append(f"{mean:+.0f} ({low:+.0f} to {high:+.0f})")
         cells += [""] * (len(columns) - len(cells))
         print("| " + " | ".join(cells) + " |", flush=True)
+    if arguments.plot is not None:
+        plot_trade_off(results).savefig(arguments.plot)
 
 
 if __name__ == "__main__":

@@ -292,9 +292,14 @@ class Embed:
     """How much z is pulled to a unit Gaussian; high values lose dimensions."""
     spacings: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
     """Steps between the members of a triplet; 0 for any three states of a demonstration."""
+    near: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
+    """With --spacings 0, how many of those are mostly close together: fewer makes whole plans straighter,
+    more makes z of more use to a policy."""
     whitening: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
     """How far z's directions are brought to the same size: 0 not at all, 1 all the way."""
-    inputs: Annotated[InputForm | None, arg(help_behavior_hint=PRESETS_OWN)] = None
+    inputs: Annotated[
+        InputForm | None, arg(metavar="{raw,standard,trig}", help_behavior_hint=PRESETS_OWN)
+    ] = None
     """raw: numbers as they are. standard: standardised, for plans of which windings are a part. trig: sin and
     cos of circular angles, then standardised."""
     steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=PRESETS_OWN)] = None
@@ -327,6 +332,7 @@ class Embed:
             linearity=self.linearity,
             prior=self.prior,
             spacings=() if self.spacings == (0,) else self.spacings,
+            near=self.near,
             whitening=self.whitening,
             inputs=self.inputs,
             steps=self.steps,

@@ -56,6 +56,21 @@ def test_random_triplets_take_every_inner_state_alike_and_any_length() -> None:
     np.testing.assert_allclose(counts / counts.sum(), 0.25, atol=0.03)
 
 
+def test_near_triplets_have_every_length_but_short_ones_more() -> None:
+    demos, length = of_lengths(1001), 1000
+    spans = {}
+    for near in (0.0, 0.5, 1.0):
+        rows = random_triplets(demos, np.array([0]), 40_000, np.random.default_rng(0), near)
+        a, t, b = rows.T
+        assert ((a >= 0) & (a < t) & (t < b) & (b <= length)).all()
+        spans[near] = b - a
+    assert np.median(spans[1.0]) < 0.2 * np.median(spans[0.0])
+    assert (spans[1.0] < 10).mean() > 0.15 > 0.01 > (spans[0.0] < 10).mean()
+    assert (spans[1.0] > 500).mean() > 0.01
+    short = [(spans[near] < 10).mean() for near in (0.0, 0.5, 1.0)]
+    assert short[1] == pytest.approx((short[0] + short[2]) / 2, abs=0.02)
+
+
 def test_random_triplets_of_too_short_demos_are_refused() -> None:
     with pytest.raises(PlanspaceError, match="no demonstration has the 3 states"):
         random_triplets(of_lengths(2, 2), np.array([0, 1]), 10, np.random.default_rng(0))

@@ -84,6 +84,7 @@ def test_one_row_is_a_training_too() -> None:
     figure = plot_training(log(1), 0)
     figure.savefig(io.BytesIO(), format="svg")
     assert [np.size(line.get_xdata()) for line in figure.axes[0].lines] == [1, 1, 1]
+    assert {line.get_marker() for line in figure.axes[0].lines} == {"o"}  # a line alone would not be seen
 
 
 @pytest.mark.parametrize("rows", [[], [{"step": 1, "bound": [1.0]}]])

@@ -1,4 +1,4 @@
-"""Evenly spaced triplets of states along demonstrations, the data the embedding is trained on."""
+"""Triplets of states along demonstrations, the data the embedding is trained on."""
 
 from collections.abc import Sequence
 
@@ -41,18 +41,24 @@ def triplet_rows(
 
 
 def random_triplets(
-    demos: Demos, episodes: Int[np.ndarray, " demo"], num: int, rng: np.random.Generator
+    demos: Demos,
+    episodes: Int[np.ndarray, " demo"],
+    num: int,
+    rng: np.random.Generator,
+    near: float = 0.0,
 ) -> Int[np.ndarray, "triplet 3"]:
     """Triplets a < t < b of any length within the given demonstrations, up to a whole one.
 
     t is drawn from all states but the first and last of a demonstration, so that each counts the same; a and
-    b then from those before and after it.
+    b then from a share of those before and of those after it. The share is 1, or, for some of the triplets,
+    log-uniform from the nearest state alone to all.
 
     Args:
         demos: the dataset.
         episodes: which demonstrations.
         num: how many triplets.
         rng: where the draws come from.
+        near: of how many triplets the share is drawn, from 0 to 1.
 
     Returns:
         Row numbers into `demos.states`.
@@ -70,5 +76,10 @@ def random_triplets(
     rows = np.stack([np.concatenate(part) for part in (first, inner, last)], axis=1)
     if len(rows) == 0:
         raise PlanspaceError("no demonstration has the 3 states that a triplet needs.")
-    a, t, b = rows[rng.integers(len(rows), size=num)].T
-    return np.stack([rng.integers(a, t), t, rng.integers(t, b) + 1], axis=1)
+    first, t, last = rows[rng.integers(len(rows), size=num)].T
+    before, after = t - first, last - t
+    share = np.maximum(before, after) ** -rng.uniform(size=num)
+    share[rng.uniform(size=num) >= near] = 1.0
+    a = rng.integers(t - np.ceil(share * before).astype(int), t)
+    b = rng.integers(t, t + np.ceil(share * after).astype(int)) + 1
+    return np.stack([a, t, b], axis=1)

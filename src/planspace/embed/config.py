@@ -64,6 +64,10 @@ class FitConfig:
     """Units of the hidden layers of encoder and decoder."""
     spacings: tuple[int, ...] = ()
     """Steps between the members of a triplet; none at all draws any three states of a demonstration."""
+    near: float = 0.5
+    """Of how many of those three states the distance is drawn log-uniformly, and so mostly short; the others
+    are most of a demonstration apart. Long ones make whole plans straight, short ones keep z of use to a
+    policy."""
     sigma_floor: float = 0.2
     """Least deviation of the decoder, in units of its inputs; without it the likelihood runs away."""
     steps: int = 6_000
@@ -105,6 +109,7 @@ class FitConfig:
             (not 0 <= self.sigma_floor < math.inf, "sigma_floor: 0 or more"),
             (not 0 <= self.z_deviation < math.inf, "z_deviation: 0 or more"),
             (not 0 <= self.average < 1, "average: from 0 to below 1"),
+            (not 0 <= self.near <= 1, "near: from 0 to 1"),
             (not 0 <= o.balance <= 1, "balance: from 0 to 1"),
             (not 0 <= self.whitening <= 1, "whitening: from 0 to 1"),
         ]

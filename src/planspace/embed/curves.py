@@ -76,12 +76,15 @@ def plot_training(
         steps = np.array([row["step"] for row in rows])
         values = np.array([row[name] for row in rows], dtype=float)
         mean, low, high = rolling(values, _window(len(rows)))
+        marker = "o" if len(rows) == 1 else None  # a line through one point would not be seen
         for i in range(values.shape[1]):
             colour = COLOURS[i % len(COLOURS)]
             seed = f"seed {i if seeds is None else seeds[i]}" + (", kept" if i == kept else "")
             width, order = (3.0, 3) if i == kept else (1.3, 2)
             axes.fill_between(steps, low[:, i], high[:, i], color=colour, alpha=0.18, linewidth=0)
-            axes.plot(steps, mean[:, i], color=colour, linewidth=width, zorder=order, label=seed)
+            axes.plot(
+                steps, mean[:, i], color=colour, linewidth=width, zorder=order, label=seed, marker=marker
+            )
         _cut_early(axes, mean, low, high)
         axes.set_title(title, loc="left")
         axes.set_ylabel(label)

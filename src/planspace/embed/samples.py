@@ -80,7 +80,7 @@ def make_samples(
     elif config.spacings:
         triplets = triplet_rows(demos, train, config.spacings)
     else:
-        triplets = random_triplets(demos, train, NUM_RANDOM, rng)
+        triplets = random_triplets(demos, train, NUM_RANDOM, rng, config.near)
     mean_duration = np.mean(demos.times[demos.offsets[1:] - 1][train])
     t_a, t_t, t_b = demos.times[triplets].T
     if not (t_b > t_a).all():
