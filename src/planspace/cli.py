@@ -431,7 +431,7 @@ class Train:
     """A task's name; without it the names are listed."""
     algo: Literal["trpo"] = "trpo"
     """The algorithm."""
-    obs: Literal["raw", "trig"] = "raw"
+    obs: Literal["raw", "wrapped", "trig"] = "raw"
     """raw: the state as it is. trig: with sin and cos of its angles beside it."""
     z: Literal["none", "augment", "replace"] = "none"
     """augment: the observation and z. replace: z alone."""

@@ -6,7 +6,7 @@ applied after clipping [env, control], `target` is [env, 2] for a reacher and [e
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
@@ -24,8 +24,10 @@ TIP = 0.11
 DISK = 0.2
 """Radius of the disk the reacher's targets are drawn from [m]."""
 
-ObsForm = Literal["raw", "trig"]
-"""`raw`: what the task observes; `trig`: the same with sin and cos of its angles."""
+ObsForm = Literal["raw", "wrapped", "trig"]
+"""`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
+(-pi, pi]; `trig`: raw with sin and cos of its angles."""
+_OBS_FORMS: tuple[ObsForm, ...] = get_args(ObsForm)
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,12 @@ class Task:
     """Physics steps a step."""
     observe: Callable[[np.ndarray, np.ndarray], np.ndarray]
     """(states, targets) to what is observed raw."""
-    obs_names: tuple[str, ...]
-    """A name for each number of it."""
+    obs_fields: tuple[tuple[str, str], ...]
+    """Name and unit of each number of it."""
     trig_columns: tuple[int, ...]
     """Angles of the state whose sin and cos the `trig` observation adds to the raw one."""
+    circular_columns: tuple[int, ...]
+    """Angles of the state that lie on a circle."""
     reward: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
     """(before, after, control, targets) to the reward of a step."""
     terminated: Callable[[np.ndarray], np.ndarray]
@@ -79,12 +83,29 @@ class Task:
         radius = DISK * np.sqrt(rng.uniform(0.0, 1.0, num))
         return states, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
-    def observe_trig(
-        self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
+    def observe_as(
+        self,
+        form: ObsForm,
+        states: Float[np.ndarray, "env state"],
+        targets: Float[np.ndarray, "env target"],
     ) -> Float[np.ndarray, "env obs"]:
-        """The raw observation with sin and cos of the angles beside it."""
-        angles = states[:, list(self.trig_columns)]
-        return np.concatenate([self.observe(states, targets), np.sin(angles), np.cos(angles)], axis=1)
+        """The observation in one of its forms."""
+        if form == "wrapped" and self.circular_columns:
+            states = states.copy()
+            states[:, self.circular_columns] = wrap(states[:, self.circular_columns])
+        raw = self.observe(states, targets)
+        if form != "trig":
+            return raw
+        angles = states[:, self.trig_columns]
+        return np.concatenate([raw, np.sin(angles), np.cos(angles)], axis=1)
+
+    def fields(self, form: ObsForm) -> dict[str, str]:
+        """Name and unit of each number of an observation, in order."""
+        own = dict(self.obs_fields)
+        if form == "trig":
+            angles = [name for name, unit in self.obs_fields if unit == "rad"][: len(self.trig_columns)]
+            own |= {f"{function}_{name}": "" for function in ("sin", "cos") for name in angles}
+        return own
 
 
 def fingertip(states: Float[np.ndarray, "env 4"]) -> Float[np.ndarray, "env 2"]:
@@ -138,8 +159,16 @@ def _reacher_trig(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.concatenate(parts, axis=1)
 
 
-_REACHER_TAIL = ("target_x", "target_y", "joint0vel", "joint1vel", "to_target_x", "to_target_y")
-_CARTPOLE_STATE = ("slider", "hinge", "slidervel", "hingevel")
+_REACHER_JOINTS = ("joint0", "joint1")
+_REACHER_TAIL = (
+    ("target_x", "m"),
+    ("target_y", "m"),
+    ("joint0vel", "rad/s"),
+    ("joint1vel", "rad/s"),
+    ("to_target_x", "m"),
+    ("to_target_y", "m"),
+)
+_CARTPOLE_STATE = (("slider", "m"), ("hinge", "rad"), ("slidervel", "m/s"), ("hingevel", "rad/s"))
 
 TASKS: dict[str, Task] = {
     task.name: task
@@ -155,8 +184,9 @@ TASKS: dict[str, Task] = {
             horizon=100,
             frame_skip=2,
             observe=_state,
-            obs_names=_CARTPOLE_STATE,
+            obs_fields=_CARTPOLE_STATE,
             trig_columns=(1,),
+            circular_columns=(1,),
             reward=_balance_reward,
             terminated=_has_fallen,
         ),
@@ -171,8 +201,9 @@ TASKS: dict[str, Task] = {
             horizon=200,
             frame_skip=2,
             observe=_state,
-            obs_names=_CARTPOLE_STATE,
+            obs_fields=_CARTPOLE_STATE,
             trig_columns=(1,),
+            circular_columns=(1,),
             reward=_swing_up_reward,
             terminated=_never,
         ),
@@ -180,15 +211,19 @@ TASKS: dict[str, Task] = {
             name="reacher-trig",
             env_id="planspace/ReacherTrig-v0",
             model="reacher.xml",
-            joints=("joint0", "joint1"),
+            joints=_REACHER_JOINTS,
             problem="reacher",
             start_low=(-0.1, -0.1, -0.005, -0.005),
             start_high=(0.1, 0.1, 0.005, 0.005),
             horizon=100,
             frame_skip=2,
             observe=_reacher_trig,
-            obs_names=("cos_joint0", "cos_joint1", "sin_joint0", "sin_joint1", *_REACHER_TAIL),
+            obs_fields=(
+                *((f"{function}_{joint}", "") for function in ("cos", "sin") for joint in _REACHER_JOINTS),
+                *_REACHER_TAIL,
+            ),
             trig_columns=(),  # it observes them instead of the angles already
+            circular_columns=(),
             reward=_reach_reward,
             terminated=_never,
             has_target=True,
@@ -197,15 +232,16 @@ TASKS: dict[str, Task] = {
             name="reacher-raw",
             env_id="planspace/ReacherRaw-v0",
             model="reacher.xml",
-            joints=("joint0", "joint1"),
+            joints=_REACHER_JOINTS,
             problem="reacher",
             start_low=(-0.1, -0.1, -0.005, -0.005),
             start_high=(0.1, 0.1, 0.005, 0.005),
             horizon=100,
             frame_skip=2,
             observe=_reacher_raw,
-            obs_names=("joint0", "joint1", *_REACHER_TAIL),
+            obs_fields=(*((joint, "rad") for joint in _REACHER_JOINTS), *_REACHER_TAIL),
             trig_columns=(0, 1),
+            circular_columns=(),  # they are limited
             reward=_reach_reward,
             terminated=_never,
             has_target=True,
@@ -223,3 +259,15 @@ def find_task(name: str) -> Task:
     if name not in TASKS:
         raise unknown("task", name, TASKS)
     return TASKS[name]
+
+
+def find_obs_form(name: str) -> ObsForm:
+    """The form of observation of a name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    for form in _OBS_FORMS:
+        if form == name:
+            return form
+    raise unknown("form of observation", name, _OBS_FORMS)

@@ -31,7 +31,7 @@ def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout
     observer = Observer(task, "raw", "none", "both", None)
     batch = TaskBatch(task, num_envs * len(seeds))
     rngs = [np.random.default_rng(s) for s in seeds]
-    return collect(batch, observer, fixed_actor(len(seeds), len(task.obs_names)), num_steps, rngs)
+    return collect(batch, observer, fixed_actor(len(seeds), len(task.obs_fields)), num_steps, rngs)
 
 
 def test_a_seeds_episodes_do_not_depend_on_those_beside_it() -> None:
@@ -108,7 +108,7 @@ def test_z_goes_where_it_is_sent(embedding: Embedding, z: str, z_to: str, rng: n
     observer = Observer(task, "trig", z, z_to, embedding)  # pyright: ignore
     states, targets = task.sample_starts(5, rng)
     obs = observer(states, targets)
-    own, latent = task.observe_trig(states, targets), embedding.encode(states)
+    own, latent = task.observe_as("trig", states, targets), embedding.encode(states)
     with_z = latent if z == "replace" else np.concatenate([own, latent], axis=1)
     seen = {"policy": obs[:, observer.policy_columns], "critic": obs[:, observer.critic_columns]}
     for reader, columns in seen.items():

@@ -18,6 +18,7 @@ def register_tasks() -> None:
             register(
                 env_id,
                 entry_point="planspace.envs.task:TaskEnv",
+                vector_entry_point="planspace.envs.vector:TaskVectorEnv",
                 max_episode_steps=horizon,
                 kwargs={"task": task},
             )

@@ -1,5 +1,6 @@
 """Many episodes of one task stepped together; every environment of planspace stands on this."""
 
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -56,3 +57,11 @@ class TaskBatch:
         reward = self.task.reward(before, after, applied, self.targets)
         self.states = after
         return np.where(diverged, 0.0, reward), self.task.terminated(after), diverged
+
+    def mujoco_data(self, episode: int) -> mujoco.MjData:
+        """One episode as it is now, everything computed, the target where it is."""
+        data = self.simulator.mujoco_data(episode)
+        if self.task.has_target:
+            data.mocap_pos[0, :2] = self.targets[episode]
+            mujoco.mj_forward(self.simulator.model, data)
+        return data

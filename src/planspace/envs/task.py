@@ -1,52 +1,63 @@
 """The tasks as Gymnasium environments: `planspace/CartPoleSwingUp-v0` and its siblings."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
 from planspace.envs.batch import TaskBatch
-from planspace.errors import UsageError
-from planspace.tasks import ObsForm, find_task
+from planspace.envs.render import RENDER_MODES, Renderer
+from planspace.errors import UsageError, unknown
+from planspace.tasks import ObsForm, Task, find_obs_form, find_task
 
-RENDER_SIZE = (480, 640)
 
-
-class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
     """One episode of a task at a time.
 
     Observations are float32; `info["state"]` and the attribute `state` hold the planning state, which is
-    what an embedding reads. `reset(options={"state": ...})` starts from a given state.
+    what an embedding reads. `reset(options={"state": ...})` starts from a given state. A copy, or one that
+    was pickled, is a fresh environment with the same arguments, as is usual in Gymnasium.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012  Gymnasium's way
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  Gymnasium's way
 
-    def __init__(self, task: str, obs: ObsForm = "raw", render_mode: str | None = None):
+    def __init__(self, task: str, obs: str = "raw", render_mode: str | None = None):
         """Makes the environment; `gymnasium.make` calls this.
 
         Args:
             task: the task's command-line name.
-            obs: `raw`, or `trig`: raw with sin and cos of its angles.
-            render_mode: `rgb_array` or None.
+            obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
+            render_mode: `human`, `rgb_array` or None.
+
+        Raises:
+            UsageError: an argument is none of these.
         """
+        gymnasium.utils.EzPickle.__init__(self, task, obs, render_mode)
         self.task = find_task(task)
-        self.render_mode = render_mode
+        self.obs: ObsForm = find_obs_form(obs)
+        self.render_mode = find_render_mode(render_mode, RENDER_MODES)
         self._batch = TaskBatch(self.task, 1, threads=1)
-        simulator = self._batch.simulator
-        self._observe = self.task.observe if obs == "raw" else self.task.observe_trig
-        size = self._observe(self._batch.states, self._batch.targets).shape[1]
-        self.observation_space = Box(-np.inf, np.inf, (size,), np.float32)
-        self.action_space = Box(
-            simulator.control_low.astype(np.float32), simulator.control_high.astype(np.float32)
-        )
-        self._renderer: mujoco.Renderer | None = None
+        self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
+        self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
+        self._renderer = Renderer(self._batch)
+
+    @property
+    def state_fields(self) -> dict[str, str]:
+        """Name and unit of each number of `state`."""
+        space = self._batch.simulator.space
+        return dict(zip(space.names, space.units, strict=True))
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the numbers of `state`."""
         return self._batch.simulator.space.names
+
+    @property
+    def obs_fields(self) -> dict[str, str]:
+        """Name and unit of each number of an observation."""
+        return self.task.fields(self.obs)
 
     @property
     def state(self) -> np.ndarray:
@@ -63,46 +74,94 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             options: `{"state": ...}` starts from a given planning state.
 
         Raises:
-            UsageError: the given state has another size.
+            UsageError: the given state has another size, or is not finite.
         """
         super().reset(seed=seed)
         states, targets = self.task.sample_starts(1, self.np_random)
         if options and "state" in options:
-            state = np.asarray(options["state"], dtype=float)
-            if state.shape != states.shape[1:]:
-                raise UsageError(f"a state has {states.shape[1]} numbers, options give {state.shape}.")
-            states = state[None]
+            states = given_states(options["state"], self.state_names)[None]
         self._batch.reset(states, targets)
+        if self.render_mode == "human":
+            self._renderer.show(0)
         return self._now()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Takes one step; diverged physics truncate the episode, with `info["diverged"]`."""
-        reward, terminated, diverged = self._batch.step(np.asarray(action, dtype=float)[None])
+        """Takes one step; diverged physics truncate the episode, with `info["diverged"]`.
+
+        Raises:
+            UsageError: the action has another shape, or is not a number.
+        """
+        action = checked_actions(action, self.action_space)
+        reward, terminated, diverged = self._batch.step(action[None])
         obs, info = self._now()
         if diverged[0]:
             info["diverged"] = True
+        if self.render_mode == "human":
+            self._renderer.show(0)
         return obs, float(reward[0]), bool(terminated[0]), bool(diverged[0]), info
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The picture now [height, width, 3], where the mode is `rgb_array`."""
-        if self.render_mode != "rgb_array":
-            return None
-        model = self._batch.simulator.model
-        if self._renderer is None:
-            self._renderer = mujoco.Renderer(model, *RENDER_SIZE)
-        data = self._batch.simulator.mujoco_data(0)
-        if self.task.has_target:
-            data.mocap_pos[0, :2] = self._batch.targets[0]
-            mujoco.mj_forward(model, data)
-        self._renderer.update_scene(data, camera=0)
-        return self._renderer.render()
+        return self._renderer.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Frees the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        """Frees what drawing took."""
+        self._renderer.close()
 
     def _now(self) -> tuple[np.ndarray, dict[str, Any]]:
-        obs = self._observe(self._batch.states, self._batch.targets)[0].astype(np.float32)
-        return obs, {"state": self.state}
+        obs = self.task.observe_as(self.obs, self._batch.states, self._batch.targets)
+        return obs[0].astype(np.float32), {"state": self.state}
+
+
+def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
+    """The render mode of a name, or None.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    if name is not None and name not in known:
+        raise unknown("render mode", name, known)
+    return name
+
+
+def spaces_of(task: Task, obs: ObsForm, batch: TaskBatch) -> tuple[Box, Box]:
+    """The spaces of observations and actions of one episode."""
+    simulator = batch.simulator
+    actions = Box(simulator.control_low.astype(np.float32), simulator.control_high.astype(np.float32))
+    return Box(-np.inf, np.inf, (len(task.fields(obs)),), np.float32), actions
+
+
+def frames_per_second(batch: TaskBatch) -> int:
+    """Steps a second of simulated time."""
+    return round(1.0 / (batch.task.frame_skip * batch.simulator.model.opt.timestep))
+
+
+def given_states(given: Any, names: tuple[str, ...], num: int | None = None) -> np.ndarray:
+    """States a caller gave to start from: one, or with `num` that many or one for all.
+
+    Raises:
+        UsageError: they have another shape, or are not finite.
+    """
+    states = np.asarray(given, dtype=float)
+    shapes = [(len(names),)] + ([] if num is None else [(num, len(names))])
+    if states.shape not in shapes:
+        raise UsageError(
+            f"a state has {len(names)} numbers ({', '.join(names)}), options give {states.shape}."
+        )
+    if not np.isfinite(states).all():
+        raise UsageError(f"a state to start from must be finite, got {states}.")
+    return states if num is None else np.broadcast_to(states, (num, len(names)))
+
+
+def checked_actions(actions: Any, space: gymnasium.Space[Any]) -> np.ndarray:
+    """Actions as float64, of the space's shape and all numbers; too large ones are left to be clipped.
+
+    Raises:
+        UsageError: they are not.
+    """
+    actions = np.asarray(actions, dtype=float)
+    if actions.shape != space.shape:
+        raise UsageError(f"an action has shape {space.shape}, got {actions.shape}.")
+    if np.isnan(actions).any():
+        raise UsageError(f"an action must be numbers, got {actions}.")
+    return actions

@@ -43,8 +43,7 @@ class Observer:
         """The observations, float32."""
         parts = []
         if self.z != "replace" or self.z_to != "both":
-            observe = self.task.observe if self.obs == "raw" else self.task.observe_trig
-            parts.append(observe(states, targets))
+            parts.append(self.task.observe_as(self.obs, states, targets))
         if self.embedding is not None and self.z != "none":
             parts.append(self.embedding.encode(states[:, self._embedded_columns]))
         return np.concatenate(parts, axis=1).astype(np.float32)
@@ -72,7 +71,7 @@ class Observer:
     def _columns(self, reader: str) -> slice:
         if self.z == "none" or self.z_to == "both":
             return slice(None)
-        own = len(self.task.obs_names) + (2 * len(self.task.trig_columns) if self.obs == "trig" else 0)
+        own = len(self.task.fields(self.obs))
         if reader != self.z_to:
             return slice(0, own)
         return slice(own, None) if self.z == "replace" else slice(None)

@@ -1,0 +1,218 @@
+"""Many episodes of a task as one Gymnasium vector environment, on one batch of physics."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from jaxtyping import Bool
+
+from planspace.envs.batch import TaskBatch
+from planspace.envs.render import Renderer
+from planspace.envs.task import (
+    checked_actions,
+    find_render_mode,
+    frames_per_second,
+    given_states,
+    spaces_of,
+)
+from planspace.errors import UsageError, unknown
+from planspace.tasks import ObsForm, find_obs_form, find_task
+
+MODES = tuple(mode.value for mode in AutoresetMode)
+
+
+class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
+    """What `SyncVectorEnv` of as many `TaskEnv` gives, bit by bit, in a fraction of the time.
+
+    `gymnasium.make_vec("planspace/CartPoleSwingUp-v0", num_envs=64, vectorization_mode="vector_entry_point")`
+    makes one. Each episode has a random stream of its own, so that it does not depend on those beside it.
+    """
+
+    metadata = {  # noqa: RUF012  Gymnasium's way
+        "render_modes": ["rgb_array"],
+        "render_fps": 25,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        obs: str = "raw",
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int = 0,
+        render_mode: str | None = None,
+    ):
+        """Makes the environment; `gymnasium.make_vec` calls this.
+
+        Args:
+            task: the task's command-line name.
+            num_envs: how many episodes run side by side.
+            obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
+            max_episode_steps: episodes are truncated after so many steps; by default the task's horizon.
+            autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
+            threads: physics threads; 0 takes all CPUs. Results do not depend on it.
+            render_mode: `rgb_array` or None.
+
+        Raises:
+            UsageError: an argument is none of these.
+        """
+        gymnasium.utils.EzPickle.__init__(
+            self, task, num_envs, obs, max_episode_steps, autoreset_mode, threads, render_mode
+        )
+        self.task = find_task(task)
+        if num_envs < 1:
+            raise UsageError(f"num_envs must be 1 or more, got {num_envs}.")
+        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
+        if mode not in MODES:
+            raise unknown("autoreset mode", mode, MODES)
+        self.num_envs = num_envs
+        self.obs: ObsForm = find_obs_form(obs)
+        self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
+        self.autoreset_mode = AutoresetMode(mode)
+        self.max_episode_steps = self.task.horizon if max_episode_steps is None else max_episode_steps
+        self._batch = TaskBatch(self.task, num_envs, threads=threads)
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": frames_per_second(self._batch),
+        }
+        self.single_observation_space, self.single_action_space = spaces_of(self.task, self.obs, self._batch)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._elapsed = np.zeros(num_envs, dtype=int)
+        self._ended = np.zeros(num_envs, dtype=bool)
+        self._renderer = Renderer(self._batch)
+
+    @property
+    def state_fields(self) -> dict[str, str]:
+        """Name and unit of each number of a planning state."""
+        space = self._batch.simulator.space
+        return dict(zip(space.names, space.units, strict=True))
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the numbers of a planning state."""
+        return self._batch.simulator.space.names
+
+    @property
+    def obs_fields(self) -> dict[str, str]:
+        """Name and unit of each number of an observation."""
+        return self.task.fields(self.obs)
+
+    @property
+    def states(self) -> np.ndarray:
+        """The planning state of each episode now [env, state]."""
+        return self._batch.states.copy()
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts all episodes, or those of a mask.
+
+        Args:
+            seed: restarts the random streams: s for s, s + 1, ...; or one for each, None to let one go on.
+            options: `{"state": ...}` starts from a given planning state, one for all or one for each;
+                `{"reset_mask": ...}` names the episodes that start, the others go on.
+
+        Raises:
+            UsageError: seeds, states or mask have another shape.
+        """
+        options = options or {}
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise UsageError(f"there are {self.num_envs} episodes, and {len(seeds)} seeds.")
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise UsageError(f"reset_mask must be {self.num_envs} truth values, one of them true.")
+        for i in np.flatnonzero(mask):
+            if seeds is not None and seeds[i] is not None:
+                self._rngs[i] = seeding.np_random(seeds[i])[0]
+        self._begin(mask, options.get("state"))
+        info: dict[str, Any] = {}
+        self._add_states(info, mask)
+        return self._observe(), info
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Takes one step of every episode; ended ones begin anew as the autoreset mode says.
+
+        Diverged physics truncate an episode, with `info["diverged"]`.
+
+        Raises:
+            UsageError: the actions have another shape or are not numbers, or an ended episode was not reset.
+        """
+        actions = checked_actions(actions, self.action_space)
+        restarting = self._ended
+        if self.autoreset_mode == AutoresetMode.DISABLED and restarting.any():
+            raise UsageError(
+                f"episodes {np.flatnonzero(restarting).tolist()} have ended: reset them first, with "
+                'options={"reset_mask": ...}.'
+            )
+        rewards, terminated, diverged = self._batch.step(actions)
+        self._elapsed += 1
+        truncated = diverged | (self._elapsed >= self.max_episode_steps)
+        if restarting.any():  # these were not meant to step
+            rewards[restarting] = 0.0
+            terminated, truncated = terminated & ~restarting, truncated & ~restarting
+            diverged = diverged & ~restarting
+            self._begin(restarting)
+        self._ended = terminated | truncated
+        info: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
+            self._finish(info, self._ended, diverged)
+            self._begin(self._ended)
+        else:
+            _add(info, "diverged", diverged, diverged)
+        self._add_states(info, np.ones(self.num_envs, dtype=bool))
+        return self._observe(), rewards, terminated, truncated, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """The picture of each episode now [height, width, 3], where the mode is `rgb_array`."""
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self._renderer.picture(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees what drawing took."""
+        self._renderer.close()
+
+    def _observe(self) -> np.ndarray:
+        return self.task.observe_as(self.obs, self._batch.states, self._batch.targets).astype(np.float32)
+
+    def _begin(self, mask: Bool[np.ndarray, " env"], given: Any = None) -> None:
+        """Begins the episodes of the mask at their own draws, or at given states."""
+        ids = np.flatnonzero(mask)
+        starts = [self.task.sample_starts(1, self._rngs[i]) for i in ids]
+        states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
+        if given is not None:
+            states = given_states(given, self.state_names, self.num_envs)[ids]
+        self._batch.reset(states, targets, ids.astype(np.int32))
+        self._elapsed[ids], self._ended[ids] = 0, False
+
+    def _finish(self, info: dict[str, Any], ended: np.ndarray, diverged: np.ndarray) -> None:
+        """Tells how the ended episodes ended, before they begin anew."""
+        last = np.full(self.num_envs, None, dtype=object)
+        obs = self._observe()
+        for i in np.flatnonzero(ended):
+            last[i] = obs[i]
+        final: dict[str, Any] = {}
+        self._add_states(final, ended)
+        _add(final, "diverged", diverged, diverged)
+        info |= {"final_obs": last, "_final_obs": ended.copy()}
+        info |= {"final_info": final, "_final_info": ended.copy()}
+
+    def _add_states(self, info: dict[str, Any], mask: np.ndarray) -> None:
+        _add(info, "state", np.where(mask[:, None], self._batch.states, 0.0), mask)
+
+
+def _add(info: dict[str, Any], name: str, values: np.ndarray, mask: np.ndarray) -> None:
+    """Adds values as Gymnasium's vector environments do: zero, and not in the mask, where there is none."""
+    if mask.any():
+        info |= {name: values, f"_{name}": mask.copy()}
