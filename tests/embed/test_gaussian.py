@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -6,6 +7,7 @@ import pytest
 import scipy.stats
 
 from planspace.embed.gaussian import DiagonalGaussian, kl, kl_to_prior
+from planspace.embed.networks import GaussianNetwork
 
 P = DiagonalGaussian(jnp.array([0.5, -1.0]), jnp.array([0.7, 2.0]))
 Q = DiagonalGaussian(jnp.array([0.0, 1.0]), jnp.array([1.5, 0.4]))
@@ -29,3 +31,14 @@ def test_kl_is_what_samples_say() -> None:
     estimate = jnp.mean(jax.vmap(P.log_prob)(x) - jax.vmap(Q.log_prob)(x))
     assert float(kl(P, Q)) == pytest.approx(float(estimate), rel=0.03)
     assert float(kl(P, Q)) != pytest.approx(float(kl(Q, P)), rel=0.03)  # and the order matters
+
+
+def test_a_deviation_far_below_one_does_not_round_to_zero() -> None:
+    network = GaussianNetwork(1, 3, (), 0.0, key=jr.key(0))
+    rho = jnp.array([-30.0, -11.0, -0.5])  # the sum exp(x) - 1 + 1 is 0 in float32 for the first
+    biases = [jnp.concatenate([jnp.zeros(3), rho])]
+    network = eqx.tree_at(lambda n: (n.weights, n.biases), network, ([jnp.zeros((6, 1))], biases))
+    np.testing.assert_allclose(network(jnp.zeros(1)).sigma, np.exp(rho), rtol=1e-5)
+    gradient = jax.grad(lambda b: kl_to_prior(eqx.tree_at(lambda n: n.biases, network, [b])(jnp.zeros(1))))
+    assert np.isfinite(gradient(biases[0])).all()
+    assert (gradient(biases[0])[3:] < 0).all()  # the prior pulls it up

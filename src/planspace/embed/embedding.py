@@ -351,5 +351,4 @@ def _gaussian(
     for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
         x = np.maximum(x @ weight.T + bias, 0.0)
     mu, rho = np.split(x @ weights[-1].T + biases[-1], 2, axis=-1)
-    elu = np.where(rho > 0, rho, np.expm1(np.minimum(rho, 0.0)))
-    return mu, elu + 1.0 + sigma_floor
+    return mu, np.where(rho > 0, rho + 1.0, np.exp(np.minimum(rho, 0.0))) + sigma_floor  # ELU + 1

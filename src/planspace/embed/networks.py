@@ -10,6 +10,9 @@ from jaxtyping import Array, Float, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
 
+ROUNDED_BELOW = -10.0
+"""In float32, exp(x) - 1 + 1 has lost three digits there, and is 0 from -17 on."""
+
 
 class GaussianNetwork(eqx.Module):
     """A ReLU network whose output is a diagonal Gaussian.
@@ -32,7 +35,7 @@ class GaussianNetwork(eqx.Module):
     def __call__(self, x: Float[Array, " in"]) -> DiagonalGaussian:
         """The Gaussian for one input."""
         mu, rho = jnp.split(_forward(self.weights, self.biases, x), 2)
-        return DiagonalGaussian(mu, jax.nn.elu(rho) + 1.0 + self.sigma_floor)
+        return DiagonalGaussian(mu, _deviation(rho) + self.sigma_floor)
 
 
 class Transition(eqx.Module):
@@ -102,6 +105,11 @@ def _layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], lis
     keys = jr.split(key, len(sizes) - 1)
     weights = [_glorot_uniform(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)]
     return weights, [jnp.zeros(b) for b in sizes[1:]]
+
+
+def _deviation(rho: Array) -> Array:
+    """ELU + 1 (equation 12); below 0 that is exp, as which it is computed where the sum would round to 0."""
+    return jnp.where(rho < ROUNDED_BELOW, jnp.exp(jnp.minimum(rho, 0.0)), jax.nn.elu(rho) + 1.0)
 
 
 def _forward(weights: list[Array], biases: list[Array], x: Array) -> Array:
