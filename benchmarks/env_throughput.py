@@ -36,18 +36,12 @@ def stepping(env: gymnasium.vector.VectorEnv) -> Callable[[], None]:
 
 
 def rate(step: Callable[[], None], num: int) -> float:
-    """Environment steps a second."""
-    calls, took = 1, 0.0
-    while took < SECONDS / 4:
-        began = time.perf_counter()
-        for _ in range(calls):
-            step()
-        took = time.perf_counter() - began
-        calls = 2 * calls if took < SECONDS / 8 else int(calls * SECONDS / took) + 1
-    return num * calls / _time(step, calls)
+    """Environment steps a second, timed for about `SECONDS`."""
+    calls = max(1, int(SECONDS / timed(step, 10) * 10))
+    return num * calls / timed(step, calls)
 
 
-def _time(step: Callable[[], None], calls: int) -> float:
+def timed(step: Callable[[], None], calls: int) -> float:
     began = time.perf_counter()
     for _ in range(calls):
         step()

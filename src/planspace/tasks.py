@@ -1,28 +1,40 @@
 """The reinforcement learning tasks, as data: what starts, what is observed, what is rewarded, what ends.
 
 Every function takes batches: `before` and `after` are planning states [env, state], `control` is what was
-applied after clipping [env, control], `target` is [env, 2] for a reacher and [env, 0] for a cart-pole.
+applied after clipping [env, control], `target` is [env, 2] for a reacher and [env, 0] for the others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from planspace.errors import unknown
+from planspace.physics import quaternion
 from planspace.physics.angles import wrap
 from planspace.physics.simulate import ASSETS, load_model
 from planspace.physics.space import StateSpace
+from planspace.rewards import (
+    Pose,
+    balance_reward,
+    fingertip,
+    has_fallen,
+    has_reached,
+    is_up,
+    never,
+    reach_reward,
+    swing_up_reward,
+)
 
-LINK = 0.1
-"""Length of the reacher's first link [m]."""
-TIP = 0.11
-"""From the reacher's second joint to its fingertip [m]."""
 DISK = 0.2
 """Radius of the disk the reacher's targets are drawn from [m]."""
+
+RewardForm = Literal["dense", "sparse"]
+"""`dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere."""
+_REWARD_FORMS: tuple[RewardForm, ...] = get_args(RewardForm)
 
 ObsForm = Literal["raw", "wrapped", "trig"]
 """`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
@@ -62,8 +74,12 @@ class Task:
     """Angles of the state that lie on a circle."""
     reward: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
     """(before, after, control, targets) to the reward of a step."""
-    terminated: Callable[[np.ndarray], np.ndarray]
+    at_goal: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    """(states, targets) to whether that is where the task is to get."""
+    terminated: Callable[[np.ndarray], np.ndarray] = never
     """States after a step to whether the episode ends there."""
+    quaternion: int | None = None
+    """Where in the state a quaternion begins, if there is one; starts are drawn and brought to length 1."""
     has_target: bool = False
     """Whether a target is drawn for each episode."""
 
@@ -77,6 +93,9 @@ class Task:
     ) -> tuple[Float[np.ndarray, "env state"], Float[np.ndarray, "env target"]]:
         """Draws the first states and the targets of some episodes."""
         states = rng.uniform(self.start_low, self.start_high, (num, len(self.start_low)))
+        if self.quaternion is not None:
+            part = slice(self.quaternion, self.quaternion + 4)
+            states[:, part] = quaternion.normalise(states[:, part])
         if not self.has_target:
             return states, np.empty((num, 0))
         angle = rng.uniform(-np.pi, np.pi, num)
@@ -99,6 +118,19 @@ class Task:
         angles = states[:, self.trig_columns]
         return np.concatenate([raw, np.sin(angles), np.cos(angles)], axis=1)
 
+    def reward_as(
+        self,
+        form: RewardForm,
+        before: Float[np.ndarray, "env state"],
+        after: Float[np.ndarray, "env state"],
+        control: Float[np.ndarray, "env control"],
+        targets: Float[np.ndarray, "env target"],
+    ) -> Float[np.ndarray, " env"]:
+        """The reward of a step in one of its forms."""
+        if form == "sparse":
+            return self.at_goal(after, targets).astype(float)
+        return self.reward(before, after, control, targets)
+
     def fields(self, form: ObsForm) -> dict[str, str]:
         """Name and unit of each number of an observation, in order."""
         own = dict(self.obs_fields)
@@ -108,44 +140,8 @@ class Task:
         return own
 
 
-def fingertip(states: Float[np.ndarray, "env 4"]) -> Float[np.ndarray, "env 2"]:
-    """Where the reacher's fingertip is [m]."""
-    a, b = states[:, 0], states[:, 0] + states[:, 1]
-    x = LINK * np.cos(a) + TIP * np.cos(b)
-    return np.stack([x, LINK * np.sin(a) + TIP * np.sin(b)], axis=1)
-
-
 def _state(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return states
-
-
-def _never(states: np.ndarray) -> Bool[np.ndarray, " env"]:
-    return np.zeros(len(states), dtype=bool)
-
-
-def _balance_reward(
-    before: np.ndarray, after: np.ndarray, control: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    return np.ones(len(after))
-
-
-def _has_fallen(states: np.ndarray) -> Bool[np.ndarray, " env"]:
-    return ~((np.abs(states[:, 1]) <= 0.2) & np.isfinite(states).all(axis=1))
-
-
-def _swing_up_reward(
-    before: np.ndarray, after: np.ndarray, control: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    angle = np.abs(wrap(after[:, 1]))
-    return -angle - 0.1 * np.sum(control**2, axis=1) + (angle < 0.1)
-
-
-def _reach_reward(
-    before: np.ndarray, after: np.ndarray, control: np.ndarray, target: np.ndarray
-) -> np.ndarray:
-    # from the pose before the step, as in Gymnasium's Reacher
-    distance = np.linalg.norm(fingertip(before) - target, axis=1)
-    return -distance - 0.1 * np.sum(control**2, axis=1)
 
 
 def _reacher_raw(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -159,6 +155,10 @@ def _reacher_trig(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
     return np.concatenate(parts, axis=1)
 
 
+def _joint_fields(joints: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    return (*((joint, "rad") for joint in joints), *((f"{joint}vel", "rad/s") for joint in joints))
+
+
 _REACHER_JOINTS = ("joint0", "joint1")
 _REACHER_TAIL = (
     ("target_x", "m"),
@@ -168,6 +168,21 @@ _REACHER_TAIL = (
     ("to_target_x", "m"),
     ("to_target_y", "m"),
 )
+_PENDULUM = Pose("pendulum.xml", ("hinge",), (0.0,) * 2, (1.0,), effort=0.1)
+_ACROBOT = Pose("acrobot.xml", ("shoulder", "elbow"), (0.0,) * 4, (0.5,) * 2, effort=0.001)
+_PLANAR = Pose(
+    "quadrotor-planar.xml", ("x", "z", "pitch"), (0.0,) * 6, (1.0, 1.0, 0.2), effort=0.01, hold=2.4525
+)
+_QUADROTOR = Pose(
+    "quadrotor.xml",
+    ("body",),
+    (0.0, 0.0, 0.0, 1.0, *(0.0,) * 9),
+    (1.0, 1.0, 1.0, 0.2, 0.2, 0.2),
+    effort=0.02,
+    hold=1.22625,
+)
+_ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+_ARM = Pose("arm.xml", _ARM_JOINTS, (1.0, 0.8, 0.0, 1.1, 0.0, 0.3, 0.0, *(0.0,) * 7), (0.2,) * 7, effort=1e-4)
 _CARTPOLE_STATE = (("slider", "m"), ("hinge", "rad"), ("slidervel", "m/s"), ("hingevel", "rad/s"))
 
 TASKS: dict[str, Task] = {
@@ -187,8 +202,9 @@ TASKS: dict[str, Task] = {
             obs_fields=_CARTPOLE_STATE,
             trig_columns=(1,),
             circular_columns=(1,),
-            reward=_balance_reward,
-            terminated=_has_fallen,
+            reward=balance_reward,
+            at_goal=is_up,
+            terminated=has_fallen,
         ),
         Task(
             name="cartpole-swingup",
@@ -204,8 +220,8 @@ TASKS: dict[str, Task] = {
             obs_fields=_CARTPOLE_STATE,
             trig_columns=(1,),
             circular_columns=(1,),
-            reward=_swing_up_reward,
-            terminated=_never,
+            reward=swing_up_reward,
+            at_goal=is_up,
         ),
         Task(
             name="reacher-trig",
@@ -224,8 +240,8 @@ TASKS: dict[str, Task] = {
             ),
             trig_columns=(),  # it observes them instead of the angles already
             circular_columns=(),
-            reward=_reach_reward,
-            terminated=_never,
+            reward=reach_reward,
+            at_goal=has_reached,
             has_target=True,
         ),
         Task(
@@ -242,9 +258,107 @@ TASKS: dict[str, Task] = {
             obs_fields=(*((joint, "rad") for joint in _REACHER_JOINTS), *_REACHER_TAIL),
             trig_columns=(0, 1),
             circular_columns=(),  # they are limited
-            reward=_reach_reward,
-            terminated=_never,
+            reward=reach_reward,
+            at_goal=has_reached,
             has_target=True,
+        ),
+        Task(
+            name="pendulum-swingup",
+            env_id="planspace/PendulumSwingUp-v0",
+            model=_PENDULUM.model,
+            joints=_PENDULUM.joints,
+            problem="pendulum",
+            start_low=(-3.14, -0.1),
+            start_high=(3.14, 0.1),
+            horizon=200,
+            frame_skip=2,
+            observe=_state,
+            obs_fields=_joint_fields(_PENDULUM.joints),
+            trig_columns=(0,),
+            circular_columns=(0,),
+            reward=_PENDULUM.reward,
+            at_goal=_PENDULUM.at_goal,
+        ),
+        Task(
+            name="acrobot-swingup",
+            env_id="planspace/AcrobotSwingUp-v0",
+            model=_ACROBOT.model,
+            joints=_ACROBOT.joints,
+            problem="acrobot",
+            start_low=(2.64, -0.5, -0.1, -0.1),
+            start_high=(3.64, 0.5, 0.1, 0.1),
+            horizon=300,
+            frame_skip=2,
+            observe=_state,
+            obs_fields=_joint_fields(_ACROBOT.joints),
+            trig_columns=(0, 1),
+            circular_columns=(0, 1),
+            reward=_ACROBOT.reward,
+            at_goal=_ACROBOT.at_goal,
+        ),
+        Task(
+            name="quadrotor-planar",
+            env_id="planspace/QuadrotorPlanar-v0",
+            model=_PLANAR.model,
+            joints=_PLANAR.joints,
+            problem="quadrotor-planar",
+            start_low=(-1.5, -1.5, -1.0, -0.5, -0.5, -0.5),
+            start_high=(1.5, 1.5, 1.0, 0.5, 0.5, 0.5),
+            horizon=150,
+            frame_skip=2,
+            observe=_state,
+            obs_fields=(
+                ("x", "m"),
+                ("z", "m"),
+                ("pitch", "rad"),
+                ("xvel", "m/s"),
+                ("zvel", "m/s"),
+                ("pitchvel", "rad/s"),
+            ),
+            trig_columns=(2,),
+            circular_columns=(2,),
+            reward=_PLANAR.reward,
+            at_goal=_PLANAR.at_goal,
+        ),
+        Task(
+            name="quadrotor",
+            env_id="planspace/Quadrotor-v0",
+            model=_QUADROTOR.model,
+            joints=_QUADROTOR.joints,
+            problem="quadrotor",
+            start_low=(*(-1.5,) * 3, 0.8, *(-0.3,) * 3, *(-0.5,) * 6),
+            start_high=(*(1.5,) * 3, 1.0, *(0.3,) * 3, *(0.5,) * 6),
+            horizon=150,
+            frame_skip=2,
+            observe=_state,
+            obs_fields=(
+                *((f"body_{axis}", "m") for axis in "xyz"),
+                *((f"body_q{part}", "") for part in "wxyz"),
+                *((f"body_{axis}vel", "m/s") for axis in "xyz"),
+                *((f"body_r{axis}vel", "rad/s") for axis in "xyz"),
+            ),
+            trig_columns=(),
+            circular_columns=(),
+            reward=_QUADROTOR.reward,
+            at_goal=_QUADROTOR.at_goal,
+            quaternion=3,
+        ),
+        Task(
+            name="arm",
+            env_id="planspace/Arm-v0",
+            model=_ARM.model,
+            joints=_ARM.joints,
+            problem="arm",
+            start_low=(-1.4, 0.6, -0.3, 0.9, -0.5, -0.5, -0.5, *(0.0,) * 7),
+            start_high=(-0.8, 1.0, 0.3, 1.3, 0.5, 0.5, 0.5, *(0.0,) * 7),
+            horizon=150,
+            frame_skip=2,
+            observe=_state,
+            obs_fields=_joint_fields(_ARM.joints),
+            trig_columns=tuple(range(7)),
+            circular_columns=(),
+            reward=_ARM.reward,
+            at_goal=_ARM.at_goal,
         ),
     )
 }
@@ -271,3 +385,15 @@ def find_obs_form(name: str) -> ObsForm:
         if form == name:
             return form
     raise unknown("form of observation", name, _OBS_FORMS)
+
+
+def find_reward_form(name: str) -> RewardForm:
+    """The form of reward of a name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    for form in _REWARD_FORMS:
+        if form == name:
+            return form
+    raise unknown("form of reward", name, _REWARD_FORMS)

@@ -9,7 +9,9 @@ from gymnasium.utils.env_checker import check_env
 import planspace
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
-from planspace.tasks import TASKS, Task, find_task, fingertip
+from planspace.plan.problem_file import load_problem
+from planspace.rewards import fingertip
+from planspace.tasks import TASKS, Task, find_task
 
 IDS = [task.env_id for task in TASKS.values()]
 NAMED_WARNINGS = ("symmetric and normalized space", "minimum value is -infinity", "maximum value is infinity")
@@ -56,6 +58,66 @@ def test_fingertip_is_where_mujoco_has_it(rng: np.random.Generator) -> None:
         space.write(state, data.qpos, data.qvel)
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(fingertip(state[None])[0], data.body("fingertip").xpos[:2], atol=1e-12)
+
+
+POSES = ["pendulum-swingup", "acrobot-swingup", "quadrotor-planar", "quadrotor", "arm"]
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_a_pose_starts_and_ends_where_its_planning_problem_does(name: str, rng: np.random.Generator) -> None:
+    task = TASKS[name]
+    problem = load_problem(task.problem)
+    assert task.joints == problem.joints
+    assert (task.start_low, task.start_high) == (problem.start.low, problem.start.high)
+    goal, none = np.array([problem.goal.low]), np.empty((1, 0))
+    assert task.at_goal(goal, none).all()
+    assert task.at_goal(task.sample_starts(50, rng)[0], np.empty((50, 0))).mean() < 0.1
+    idle = np.zeros((1, len(task.compile()[0].actuator_ctrlrange)))
+    model = task.compile()[0]
+    hold = np.full_like(idle, -model.opt.gravity[2] * 0.5 / idle.size if "quadrotor" in name else 0.0)
+    assert task.reward(goal, goal, hold, none) == pytest.approx(1.0)  # nothing is better
+    assert task.reward(goal, goal, hold + 0.5, none) < 1.0
+
+
+def test_a_pose_costs_its_weighted_distance_by_hand() -> None:
+    off = np.array([[0.3, -0.4, 2 * np.pi + 0.5, 9.0, 9.0, 9.0], [30.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    hold = np.full((2, 2), 2.4525)
+    reward = TASKS["quadrotor-planar"].reward(off, off, hold, np.empty((2, 0)))
+    np.testing.assert_allclose(reward, [-(0.3 + 0.4 + 0.2 * 0.5), -5.0])  # velocities are free; far is far
+    turned = np.array([[0, 0, 0, np.cos(0.3), np.sin(0.3), 0, 0, *(0,) * 6]], dtype=float)
+    reward = TASKS["quadrotor"].reward(turned, turned, np.full((1, 4), 1.22625), np.empty((1, 0)))
+    np.testing.assert_allclose(reward, [-0.2 * 0.6])
+
+
+def test_starts_of_a_rotation_have_length_one(rng: np.random.Generator) -> None:
+    states, _ = TASKS["quadrotor"].sample_starts(20, rng)
+    np.testing.assert_allclose(np.linalg.norm(states[:, 3:7], axis=1), 1.0)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_sparse_pays_at_the_goal_alone(env_id: str) -> None:
+    env = gymnasium.make(env_id, reward="sparse")
+    env.reset(seed=0)
+    task = env.unwrapped.task  # pyright: ignore
+    rewards = []
+    for _ in range(20):
+        _, reward, _, _, info = env.step(np.zeros(env.action_space.shape, np.float32))  # pyright: ignore
+        targets = env.unwrapped._batch.targets  # pyright: ignore
+        assert reward == float(task.at_goal(info["state"][None], targets)[0])
+        rewards.append(reward)
+    assert set(rewards) <= {0.0, 1.0}
+
+
+def test_ten_thousand_random_steps_stay_in_bounds() -> None:
+    for env_id in IDS:
+        env = gymnasium.make_vec(env_id, num_envs=100, vectorization_mode="vector_entry_point")
+        env.reset(seed=0)
+        env.action_space.seed(0)
+        for _ in range(100):
+            obs, reward, _, _, info = env.step(env.action_space.sample())
+            assert obs in env.observation_space
+            assert np.isfinite(obs).all() and np.isfinite(reward).all()
+        assert "diverged" not in info
 
 
 def test_the_applied_control_is_what_is_charged() -> None:

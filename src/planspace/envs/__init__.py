@@ -7,6 +7,11 @@ ENVIRONMENTS = {
     "planspace/CartPoleSwingUp-v0": ("cartpole-swingup", 200),
     "planspace/ReacherTrig-v0": ("reacher-trig", 100),
     "planspace/ReacherRaw-v0": ("reacher-raw", 100),
+    "planspace/PendulumSwingUp-v0": ("pendulum-swingup", 200),
+    "planspace/AcrobotSwingUp-v0": ("acrobot-swingup", 300),
+    "planspace/QuadrotorPlanar-v0": ("quadrotor-planar", 150),
+    "planspace/Quadrotor-v0": ("quadrotor", 150),
+    "planspace/Arm-v0": ("arm", 150),
 }
 """For each name in Gymnasium, the task and its horizon, as in `tasks`, which brings MuJoCo with it."""
 

@@ -5,22 +5,24 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.physics.simulate import Simulator
-from planspace.tasks import Task
+from planspace.tasks import RewardForm, Task
 
 
 class TaskBatch:
     """`num` episodes of a task on one physics batch."""
 
-    def __init__(self, task: Task, num: int, *, threads: int = 0):
+    def __init__(self, task: Task, num: int, *, threads: int = 0, reward: RewardForm = "dense"):
         """Starts the simulations; `reset` starts the episodes.
 
         Args:
             task: the task.
             num: how many episodes run side by side.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
+            reward: the task's own, or 1 at its goal alone.
         """
         model, space = task.compile()
         self.task = task
+        self.reward: RewardForm = reward
         self.simulator = Simulator(model, space, num, threads=threads)
         self.states = np.zeros((num, space.size))
         """The state of each episode [env, state]."""
@@ -54,7 +56,7 @@ class TaskBatch:
         simulator.step(applied, self.task.frame_skip)
         diverged = simulator.diverged()
         after = np.where(diverged[:, None], before, simulator.states())
-        reward = self.task.reward(before, after, applied, self.targets)
+        reward = self.task.reward_as(self.reward, before, after, applied, self.targets)
         self.states = after
         return np.where(diverged, 0.0, reward), self.task.terminated(after), diverged
 

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
-from planspace.physics.space import StateSpace
 
 StateSource = Callable[[Any, dict[str, Any]], np.ndarray]
 """(observation, info) to the states the embedding reads, after any leading axis of episodes."""
@@ -43,7 +41,8 @@ class _Joints:
     """Positions and velocities of a MuJoCo environment's joints."""
 
     env: Any
-    space: StateSpace
+    space: Any
+    """A `StateSpace`."""
     columns: list[int]
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
@@ -85,7 +84,7 @@ def state_source(
         if np.size(inner.state) != embedding.state_dim:
             raise UsageError(f"{_wanted(embedding)}, the environment's state has {np.size(inner.state)}.")
         return _Attribute(inner, list(range(embedding.state_dim)))
-    if isinstance(getattr(inner, "model", None), mujoco.MjModel):
+    if type(getattr(inner, "model", None)).__name__ == "MjModel":
         return _of_mujoco(inner, embedding)
     raise UsageError(
         "the states cannot be read: the environment has neither an attribute `state` nor MuJoCo's `model` "
@@ -137,6 +136,8 @@ def source_of_columns(
 
 
 def _of_mujoco(inner: Any, embedding: Embedding) -> StateSource:
+    from planspace.physics.space import StateSpace  # brings MuJoCo with it, which such an environment has
+
     model = inner.model
     joints = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name]
     space = StateSpace.from_model(model, joints)

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 from planspace.envs.batch import TaskBatch
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
-from planspace.tasks import ObsForm, Task, find_obs_form, find_task
+from planspace.tasks import ObsForm, Task, find_obs_form, find_reward_form, find_task
 
 
 class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
@@ -23,22 +23,23 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  Gymnasium's way
 
-    def __init__(self, task: str, obs: str = "raw", render_mode: str | None = None):
+    def __init__(self, task: str, obs: str = "raw", reward: str = "dense", render_mode: str | None = None):
         """Makes the environment; `gymnasium.make` calls this.
 
         Args:
             task: the task's command-line name.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
+            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere.
             render_mode: `human`, `rgb_array` or None.
 
         Raises:
             UsageError: an argument is none of these.
         """
-        gymnasium.utils.EzPickle.__init__(self, task, obs, render_mode)
+        gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
         self.task = find_task(task)
         self.obs: ObsForm = find_obs_form(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
-        self._batch = TaskBatch(self.task, 1, threads=1)
+        self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_form(reward))
         self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
         self._renderer = Renderer(self._batch)

@@ -19,7 +19,7 @@ from planspace.envs.task import (
     spaces_of,
 )
 from planspace.errors import UsageError, unknown
-from planspace.tasks import ObsForm, find_obs_form, find_task
+from planspace.tasks import ObsForm, find_obs_form, find_reward_form, find_task
 
 MODES = tuple(mode.value for mode in AutoresetMode)
 
@@ -37,11 +37,12 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  Gymnasium gives them one by one
         self,
         task: str,
         num_envs: int = 1,
         obs: str = "raw",
+        reward: str = "dense",
         max_episode_steps: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int = 0,
@@ -53,6 +54,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
             task: the task's command-line name.
             num_envs: how many episodes run side by side.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
+            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere.
             max_episode_steps: episodes are truncated after so many steps; by default the task's horizon.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
@@ -62,7 +64,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
             UsageError: an argument is none of these.
         """
         gymnasium.utils.EzPickle.__init__(
-            self, task, num_envs, obs, max_episode_steps, autoreset_mode, threads, render_mode
+            self, task, num_envs, obs, reward, max_episode_steps, autoreset_mode, threads, render_mode
         )
         self.task = find_task(task)
         if num_envs < 1:
@@ -75,7 +77,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = AutoresetMode(mode)
         self.max_episode_steps = self.task.horizon if max_episode_steps is None else max_episode_steps
-        self._batch = TaskBatch(self.task, num_envs, threads=threads)
+        self._batch = TaskBatch(self.task, num_envs, threads=threads, reward=find_reward_form(reward))
         self.metadata = {
             **self.metadata,
             "autoreset_mode": self.autoreset_mode,
