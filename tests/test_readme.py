@@ -20,7 +20,8 @@ def test_python_blocks_run(embedding_folder: Path) -> None:
         assert "runs/cartpole-swingup-small/embedding" in block
         names: dict = {}
         exec(block.replace("runs/cartpole-swingup-small/embedding", str(embedding_folder)), names)
-        assert names["obs"].shape == (7,)
+        assert names["env"].reset()[0].shape == (7,)
+        assert names["obs"].shape == (64, 7)
         assert np.isfinite(names["obs"]).all()
 
 
