@@ -163,6 +163,7 @@ def plot_trade_off(results: dict[str, dict]) -> matplotlib.figure.Figure:
     """Return over straightness: what a straighter z costs a policy."""
     figure = matplotlib.figure.Figure(figsize=(7, 4.6), layout="constrained")
     axes = figure.subplots()
+    points = []
     for name, result in results.items():
         arms = [arm for arm in result["returns"].values() if arm]
         if not arms:
@@ -171,9 +172,13 @@ def plot_trade_off(results: dict[str, dict]) -> matplotlib.figure.Figure:
         returns = np.concatenate(arms)
         error = returns.std(ddof=1) / np.sqrt(len(returns))
         colour = "crimson" if name in ("modern", BASELINE) else "0.35"
-        axes.errorbar(straightness.mean(), returns.mean(), error, straightness.std(), "o", color=colour, ms=4)
-        at = (straightness.mean(), returns.mean())
-        axes.annotate(name, at, xytext=(5, 4), textcoords="offset points", fontsize=8, color=colour)
+        x, y = straightness.mean(), returns.mean()
+        axes.errorbar(x, y, error, straightness.std(), "o", color=colour, ms=4)
+        points.append((x, y, name, colour))
+    for x, y, name, colour in points:
+        crowded = any(0 < other_x - x < 0.12 and abs(other_y - y) < 40 for other_x, other_y, *_ in points)
+        side = {"xytext": (-6, -11), "ha": "right"} if crowded else {"xytext": (6, 5), "ha": "left"}
+        axes.annotate(name, (x, y), textcoords="offset points", fontsize=8, color=colour, **side)
     axes.set_xlabel("straightness on validation demonstrations (bars: deviation over five seeds)")
     axes.set_ylabel("return of the policy (bars: standard error)")
     axes.spines[["top", "right"]].set_visible(False)
