@@ -50,7 +50,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["plan", "reacher", "--workers", "-1", "--out", "x"], "--workers and --seed must not be negative"),
         (["plan", "reacher", "--settings", "restarts=0", "--out", "x"], "restarts must be at least 1"),
         (["plan", "reacher", "--cost", "speed", "--out", "x"], "unknown cost 'speed'"),
-        (["train", "--out", "x"], "which task? There are cartpole"),
+        (["train", "--out", "x"], "which task? There are acrobot-swingup, arm, cartpole"),
         (["train", "cartpole", "--z", "augment", "--out", "x"], "give --embedding DIR"),
         (["demos", "import", "--out", "x"], "which source? It may be FILE.npz, FILE.csv, minari:ID"),
         (["demos", "import", "demos.txt", "--out", "x"], "demos.txt is no source of demonstrations"),
