@@ -4,7 +4,7 @@
 
 Environment steps a second, each round of which times everything in turn; medians, and the median (least to
 greatest) of each round's ratio to ours at the same number of environments. Bare physics is `mujoco.batch`
-stepping the same model as often, with nothing observed or rewarded.
+stepping the same episodes, with nothing observed or rewarded.
 """
 
 import argparse
@@ -22,16 +22,27 @@ SECONDS = 1.0
 """About how long each measurement takes."""
 
 
-def bare(task: Task, num: int) -> Callable[[], None]:
-    model, _ = task.compile()
+def bare(task: Task, num: int, states: np.ndarray, actions: np.ndarray) -> Callable[[], None]:
+    """Steps the physics alone, through the same episodes."""
+    model, space = task.compile()
     batch = mujoco.batch.Batch(model, num, 0)
-    return lambda: batch.step(nstep=task.frame_skip)
+    qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+    ctrl[:] = actions
+    space.write(states, qpos, qvel)
+    elapsed = 0
+
+    def step() -> None:
+        nonlocal elapsed
+        batch.step(nstep=task.frame_skip)
+        elapsed += 1
+        if elapsed % task.horizon == 0:
+            space.write(states, qpos, qvel)
+
+    return step
 
 
-def stepping(env: gymnasium.vector.VectorEnv) -> Callable[[], None]:
+def stepping(env: gymnasium.vector.VectorEnv, actions: np.ndarray) -> Callable[[], None]:
     env.reset(seed=0)
-    env.action_space.seed(0)
-    actions = env.action_space.sample()
     return lambda: env.step(actions) and None
 
 
@@ -60,12 +71,15 @@ def main() -> None:
     print(f"command: python benchmarks/env_throughput.py --task {task.name} --rounds {arguments.rounds}")
     print(f"{'steps a second':<44}{'median':>12}{'over ours':>24}")
     for num in arguments.num_envs:
-        kinds = {"ours": stepping(TaskVectorEnv(task.name, num)), "bare physics": bare(task, num)}
+        ours = TaskVectorEnv(task.name, num)
+        ours.action_space.seed(0)
+        actions = ours.action_space.sample()
+        kinds = {"ours": stepping(ours, actions), "bare physics": bare(task, num, ours.states, actions)}
         others = []
         if num <= 64:  # a process each, or a Python loop over as many objects
             for mode in ("sync", "async"):
                 env = gymnasium.make_vec(task.env_id, num_envs=num, vectorization_mode=mode)
-                kinds[f"Gymnasium's {mode}"] = stepping(env)
+                kinds[f"Gymnasium's {mode}"] = stepping(env, actions)
                 others.append(env)
         rows = [{name: rate(step, num) for name, step in kinds.items()} for _ in range(arguments.rounds)]
         for name in kinds:
