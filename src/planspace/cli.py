@@ -432,7 +432,8 @@ class Train:
     algo: Literal["trpo"] = "trpo"
     """The algorithm."""
     obs: Literal["raw", "wrapped", "trig"] = "raw"
-    """raw: the state as it is. trig: with sin and cos of its angles beside it."""
+    """raw: the state as it is. wrapped: angles on a circle within (-pi, pi]. trig: raw with sin and cos of
+    its angles beside it."""
     z: Literal["none", "augment", "replace"] = "none"
     """augment: the observation and z. replace: z alone."""
     z_to: Literal["both", "policy", "critic"] = "both"

@@ -6,7 +6,7 @@ applied after clipping [env, control], `target` is [env, 2] for a reacher and [e
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import mujoco
 import numpy as np
@@ -40,6 +40,8 @@ ObsForm = Literal["raw", "wrapped", "trig"]
 """`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
 (-pi, pi]; `trig`: raw with sin and cos of its angles."""
 _OBS_FORMS: tuple[ObsForm, ...] = get_args(ObsForm)
+
+Form = TypeVar("Form", bound=str)
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ class Task:
         """Name and unit of each number of an observation, in order."""
         own = dict(self.obs_fields)
         if form == "trig":
-            angles = [name for name, unit in self.obs_fields if unit == "rad"][: len(self.trig_columns)]
+            angles = [self.obs_fields[column][0] for column in self.trig_columns]  # they stand alike in both
             own |= {f"{function}_{name}": "" for function in ("sin", "cos") for name in angles}
         return own
 
@@ -157,6 +159,19 @@ def _reacher_trig(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
 
 def _joint_fields(joints: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return (*((joint, "rad") for joint in joints), *((f"{joint}vel", "rad/s") for joint in joints))
+
+
+def _pose_task(pose: Pose, **rest: Any) -> Task:
+    """A task whose state is what is observed, and whose aim is a pose."""
+    return Task(
+        model=pose.model,
+        joints=pose.joints,
+        frame_skip=2,
+        observe=_state,
+        reward=pose.reward,
+        at_goal=pose.at_goal,
+        **rest,
+    )
 
 
 _REACHER_JOINTS = ("joint0", "joint1")
@@ -262,51 +277,38 @@ TASKS: dict[str, Task] = {
             at_goal=has_reached,
             has_target=True,
         ),
-        Task(
+        _pose_task(
+            _PENDULUM,
             name="pendulum-swingup",
             env_id="planspace/PendulumSwingUp-v0",
-            model=_PENDULUM.model,
-            joints=_PENDULUM.joints,
             problem="pendulum",
             start_low=(-3.14, -0.1),
             start_high=(3.14, 0.1),
             horizon=200,
-            frame_skip=2,
-            observe=_state,
             obs_fields=_joint_fields(_PENDULUM.joints),
             trig_columns=(0,),
             circular_columns=(0,),
-            reward=_PENDULUM.reward,
-            at_goal=_PENDULUM.at_goal,
         ),
-        Task(
+        _pose_task(
+            _ACROBOT,
             name="acrobot-swingup",
             env_id="planspace/AcrobotSwingUp-v0",
-            model=_ACROBOT.model,
-            joints=_ACROBOT.joints,
             problem="acrobot",
             start_low=(2.64, -0.5, -0.1, -0.1),
             start_high=(3.64, 0.5, 0.1, 0.1),
             horizon=300,
-            frame_skip=2,
-            observe=_state,
             obs_fields=_joint_fields(_ACROBOT.joints),
             trig_columns=(0, 1),
             circular_columns=(0, 1),
-            reward=_ACROBOT.reward,
-            at_goal=_ACROBOT.at_goal,
         ),
-        Task(
+        _pose_task(
+            _PLANAR,
             name="quadrotor-planar",
             env_id="planspace/QuadrotorPlanar-v0",
-            model=_PLANAR.model,
-            joints=_PLANAR.joints,
             problem="quadrotor-planar",
             start_low=(-1.5, -1.5, -1.0, -0.5, -0.5, -0.5),
             start_high=(1.5, 1.5, 1.0, 0.5, 0.5, 0.5),
             horizon=150,
-            frame_skip=2,
-            observe=_state,
             obs_fields=(
                 ("x", "m"),
                 ("z", "m"),
@@ -317,20 +319,15 @@ TASKS: dict[str, Task] = {
             ),
             trig_columns=(2,),
             circular_columns=(2,),
-            reward=_PLANAR.reward,
-            at_goal=_PLANAR.at_goal,
         ),
-        Task(
+        _pose_task(
+            _QUADROTOR,
             name="quadrotor",
             env_id="planspace/Quadrotor-v0",
-            model=_QUADROTOR.model,
-            joints=_QUADROTOR.joints,
             problem="quadrotor",
             start_low=(*(-1.5,) * 3, 0.8, *(-0.3,) * 3, *(-0.5,) * 6),
             start_high=(*(1.5,) * 3, 1.0, *(0.3,) * 3, *(0.5,) * 6),
             horizon=150,
-            frame_skip=2,
-            observe=_state,
             obs_fields=(
                 *((f"body_{axis}", "m") for axis in "xyz"),
                 *((f"body_q{part}", "") for part in "wxyz"),
@@ -339,26 +336,19 @@ TASKS: dict[str, Task] = {
             ),
             trig_columns=(),
             circular_columns=(),
-            reward=_QUADROTOR.reward,
-            at_goal=_QUADROTOR.at_goal,
             quaternion=3,
         ),
-        Task(
+        _pose_task(
+            _ARM,
             name="arm",
             env_id="planspace/Arm-v0",
-            model=_ARM.model,
-            joints=_ARM.joints,
             problem="arm",
             start_low=(-1.4, 0.6, -0.3, 0.9, -0.5, -0.5, -0.5, *(0.0,) * 7),
             start_high=(-0.8, 1.0, 0.3, 1.3, 0.5, 0.5, 0.5, *(0.0,) * 7),
             horizon=150,
-            frame_skip=2,
-            observe=_state,
             obs_fields=_joint_fields(_ARM.joints),
             trig_columns=tuple(range(7)),
             circular_columns=(),
-            reward=_ARM.reward,
-            at_goal=_ARM.at_goal,
         ),
     )
 }
@@ -381,10 +371,7 @@ def find_obs_form(name: str) -> ObsForm:
     Raises:
         UsageError: there is none.
     """
-    for form in _OBS_FORMS:
-        if form == name:
-            return form
-    raise unknown("form of observation", name, _OBS_FORMS)
+    return _find("form of observation", name, _OBS_FORMS)
 
 
 def find_reward_form(name: str) -> RewardForm:
@@ -393,7 +380,11 @@ def find_reward_form(name: str) -> RewardForm:
     Raises:
         UsageError: there is none.
     """
-    for form in _REWARD_FORMS:
+    return _find("form of reward", name, _REWARD_FORMS)
+
+
+def _find(what: str, name: str, forms: tuple[Form, ...]) -> Form:
+    for form in forms:
         if form == name:
             return form
-    raise unknown("form of reward", name, _REWARD_FORMS)
+    raise unknown(what, name, forms)

@@ -13,7 +13,31 @@ from planspace.errors import UsageError, unknown
 from planspace.tasks import ObsForm, Task, find_obs_form, find_reward_form, find_task
 
 
-class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
+class Described:
+    """What the numbers of an environment's states and observations are."""
+
+    task: Task
+    obs: ObsForm
+    _batch: TaskBatch
+
+    @property
+    def state_fields(self) -> dict[str, str]:
+        """Name and unit of each number of a planning state."""
+        space = self._batch.simulator.space
+        return dict(zip(space.names, space.units, strict=True))
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the numbers of a planning state."""
+        return self._batch.simulator.space.names
+
+    @property
+    def obs_fields(self) -> dict[str, str]:
+        """Name and unit of each number of an observation."""
+        return self.task.fields(self.obs)
+
+
+class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
     """One episode of a task at a time.
 
     Observations are float32; `info["state"]` and the attribute `state` hold the planning state, which is
@@ -37,28 +61,12 @@ class TaskEnv(gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
         """
         gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
         self.task = find_task(task)
-        self.obs: ObsForm = find_obs_form(obs)
+        self.obs = find_obs_form(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
         self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_form(reward))
         self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
         self._renderer = Renderer(self._batch)
-
-    @property
-    def state_fields(self) -> dict[str, str]:
-        """Name and unit of each number of `state`."""
-        space = self._batch.simulator.space
-        return dict(zip(space.names, space.units, strict=True))
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the numbers of `state`."""
-        return self._batch.simulator.space.names
-
-    @property
-    def obs_fields(self) -> dict[str, str]:
-        """Name and unit of each number of an observation."""
-        return self.task.fields(self.obs)
 
     @property
     def state(self) -> np.ndarray:

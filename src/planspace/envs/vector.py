@@ -12,6 +12,7 @@ from jaxtyping import Bool
 from planspace.envs.batch import TaskBatch
 from planspace.envs.render import Renderer
 from planspace.envs.task import (
+    Described,
     checked_actions,
     find_render_mode,
     frames_per_second,
@@ -19,12 +20,12 @@ from planspace.envs.task import (
     spaces_of,
 )
 from planspace.errors import UsageError, unknown
-from planspace.tasks import ObsForm, find_obs_form, find_reward_form, find_task
+from planspace.tasks import find_obs_form, find_reward_form, find_task
 
 MODES = tuple(mode.value for mode in AutoresetMode)
 
 
-class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
+class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
     """What `SyncVectorEnv` of as many `TaskEnv` gives, bit by bit, in a fraction of the time.
 
     `gymnasium.make_vec("planspace/CartPoleSwingUp-v0", num_envs=64, vectorization_mode="vector_entry_point")`
@@ -73,7 +74,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
         if mode not in MODES:
             raise unknown("autoreset mode", mode, MODES)
         self.num_envs = num_envs
-        self.obs: ObsForm = find_obs_form(obs)
+        self.obs = find_obs_form(obs)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = AutoresetMode(mode)
         self.max_episode_steps = self.task.horizon if max_episode_steps is None else max_episode_steps
@@ -90,22 +91,6 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.uti
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._renderer = Renderer(self._batch)
-
-    @property
-    def state_fields(self) -> dict[str, str]:
-        """Name and unit of each number of a planning state."""
-        space = self._batch.simulator.space
-        return dict(zip(space.names, space.units, strict=True))
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the numbers of a planning state."""
-        return self._batch.simulator.space.names
-
-    @property
-    def obs_fields(self) -> dict[str, str]:
-        """Name and unit of each number of an observation."""
-        return self.task.fields(self.obs)
 
     @property
     def states(self) -> np.ndarray:

@@ -50,9 +50,7 @@ class PlanSpaceObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstruc
                 is unknown.
             PlanspaceError: the embedding cannot be loaded.
         """
-        RecordConstructorArgs.__init__(
-            self, embedding=str(embedding), mode=mode, columns=None if columns is None else list(columns)
-        )
+        RecordConstructorArgs.__init__(self, **_recorded(embedding=embedding, mode=mode, columns=columns))
         super().__init__(env)
         self.embedding = load_embedding(embedding)
         self._source = state_source(env, self.embedding, columns)
@@ -96,9 +94,7 @@ class PlanSpaceVectorObservation(VectorWrapper[Any, Any, Any, Any, Any], RecordC
                 mode is unknown.
             PlanspaceError: the embedding cannot be loaded.
         """
-        RecordConstructorArgs.__init__(
-            self, embedding=str(embedding), mode=mode, columns=None if columns is None else list(columns)
-        )
+        RecordConstructorArgs.__init__(self, **_recorded(embedding=embedding, mode=mode, columns=columns))
         super().__init__(env)
         self.embedding = load_embedding(embedding)
         self._source = vector_state_source(env, self.embedding, columns)
@@ -112,12 +108,9 @@ class PlanSpaceVectorObservation(VectorWrapper[Any, Any, Any, Any, Any], RecordC
         """Starts all episodes, or those of a mask."""
         mask = None if options is None else options.get("reset_mask")
         obs, info = self.env.reset(seed=seed, options=options)  # pyright: ignore  a list of seeds, too
-        if mask is None or self._last is None:
-            self._last = self.embedding.encode(self._source(obs, info))
-        else:
-            self._last = np.where(
-                np.asarray(mask)[:, None], self.embedding.encode(self._source(obs, info)), self._last
-            )
+        z = self.embedding.encode(self._source(obs, info))
+        begun = True if mask is None else np.asarray(mask)[:, None]
+        self._last = z if self._last is None else np.where(begun, z, self._last)
         return self._show(obs, self._last), info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -169,7 +162,12 @@ class PlanSpaceShaping(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorA
         RecordConstructorArgs.__init__(
             self,
             **_recorded(
-                embedding, goal, scale=scale, discount=discount, columns=columns, goal_columns=goal_columns
+                embedding=embedding,
+                goal=goal,
+                scale=scale,
+                discount=discount,
+                columns=columns,
+                goal_columns=goal_columns,
             ),
         )
         super().__init__(env)
@@ -213,7 +211,12 @@ class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConst
         RecordConstructorArgs.__init__(
             self,
             **_recorded(
-                embedding, goal, scale=scale, discount=discount, columns=columns, goal_columns=goal_columns
+                embedding=embedding,
+                goal=goal,
+                scale=scale,
+                discount=discount,
+                columns=columns,
+                goal_columns=goal_columns,
             ),
         )
         super().__init__(env)
@@ -343,11 +346,19 @@ def _checked_discount(discount: float) -> float:
     return discount
 
 
-def _recorded(embedding: str | Path, goal: Any, **numbers: Any) -> dict[str, Any]:
-    """Constructor arguments as plain data."""
-    plain = {k: list(v) if isinstance(v, Sequence) else v for k, v in numbers.items()}
-    goal = dict(goal) if isinstance(goal, Mapping) else goal if goal is None else list(goal)
-    return {"embedding": str(embedding), "goal": goal, **plain}
+def _recorded(**arguments: Any) -> dict[str, Any]:
+    """Constructor arguments as plain data, which JSON can hold."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Path):
+            return str(value)
+        if isinstance(value, Mapping):
+            return dict(value)
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+
+    return {name: plain(value) for name, value in arguments.items()}
 
 
 def _rows(info: Mapping[str, Any], rows: np.ndarray) -> dict[str, Any]:
