@@ -1,0 +1,136 @@
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import SyncVectorEnv
+
+from planspace.embed.embedding import Embedding
+from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
+from planspace.errors import UsageError
+from planspace.tasks import TASKS
+
+pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
+
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from planspace.envs.sb3 import GymnasiumVecEnv, make_vec_env
+
+SWING_UP, BALANCE = "planspace/CartPoleSwingUp-v0", "planspace/CartPole-v0"
+NAMED_WARNINGS = ("symmetric and normalized",)
+"""That of an action range other than -1 to 1: actions are not rescaled silently."""
+
+
+def strange_warnings(env: gymnasium.Env) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env, skip_render_check=True)
+    return [str(w.message) for w in caught if not any(name in str(w.message) for name in NAMED_WARNINGS)]
+
+
+@pytest.mark.parametrize("env_id", [task.env_id for task in TASKS.values()])
+def test_sb3_accepts_every_task(env_id: str) -> None:
+    assert strange_warnings(gymnasium.make(env_id)) == []
+
+
+@pytest.mark.parametrize("mode", ["augment", "replace", "dict"])
+def test_sb3_accepts_wrapped_tasks(embedding_folder: Path, mode: str) -> None:
+    assert strange_warnings(PlanSpaceObservation(gymnasium.make(SWING_UP), embedding_folder, mode)) == []
+    shaped = PlanSpaceShaping(gymnasium.make(SWING_UP), embedding_folder, goal=[0.0] * 4)
+    assert strange_warnings(shaped) == []
+
+
+@pytest.mark.parametrize("mode", ["augment", "dict"])
+def test_ours_does_what_sb3s_own_does(embedding_folder: Path, mode: str) -> None:
+    """Step by step, over episodes that end by themselves and such as are cut off."""
+
+    def single() -> gymnasium.Env:
+        return PlanSpaceObservation(gymnasium.make(BALANCE, max_episode_steps=8), embedding_folder, mode)
+
+    ours = make_vec_env(BALANCE, 4, 7, embedding_folder, mode, env_kwargs={"max_episode_steps": 8})
+    theirs = DummyVecEnv([single] * 4)
+    theirs.seed(7)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    alike(ours.reset(), theirs.reset())
+    rng = np.random.default_rng(0)
+    seen = set()
+    for _ in range(60):
+        actions = rng.uniform([[-0.1], [-0.1], [2], [2]], [[0.1], [0.1], [3], [3]]).astype(np.float32)
+        got, wanted = ours.step(actions), theirs.step(actions)
+        alike(got[0], wanted[0])
+        for a, b in zip(got[1:3], wanted[1:3], strict=True):
+            assert a.dtype == b.dtype and np.array_equal(a, b)
+        for i in range(4):
+            alike(got[3][i]["state"], wanted[3][i]["state"])
+            if got[2][i]:
+                alike(got[3][i]["terminal_observation"], wanted[3][i]["terminal_observation"])
+                assert got[3][i]["TimeLimit.truncated"] == wanted[3][i]["TimeLimit.truncated"]
+                assert got[3][i]["episode"]["l"] <= 8
+                alike(ours.venv.reset_infos[i]["state"], theirs.reset_infos[i]["state"])
+                seen.add(got[3][i]["TimeLimit.truncated"])
+    assert seen == {False, True}
+
+
+def alike(a: Any, b: Any) -> None:
+    if isinstance(b, dict):
+        assert a.keys() == b.keys()
+        for key in b:
+            alike(a[key], b[key])
+    else:
+        assert a.dtype == b.dtype
+        np.testing.assert_allclose(a, b, atol=1e-5)  # one product of many rows rounds otherwise
+
+
+def test_it_can_be_normalised_seeded_drawn_and_started_anywhere(embedding: Embedding) -> None:
+    inner = make_vec_env(SWING_UP, 3, env_kwargs={"render_mode": "rgb_array"})
+    env = VecNormalize(inner)
+    starts = []
+    for _ in range(2):
+        env.seed(3)
+        env.reset()
+        starts.append(env.get_original_obs())
+    assert np.array_equal(*starts)
+    env.set_options({"state": [0.1, 0.2, 0.3, 0.4]})
+    np.testing.assert_allclose(inner.venv.reset(), [[0.1, 0.2, 0.3, 0.4]] * 3, atol=1e-6)
+    assert [info["state"].tolist() for info in inner.venv.reset_infos] == [[0.1, 0.2, 0.3, 0.4]] * 3
+    assert env.get_attr("state_names")[2] == embedding.inputs.names
+    assert not env.has_attr("no_such_thing")
+    assert env.env_is_wrapped(PlanSpaceObservation) == [False] * 3
+    env.close()
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    slow = gymnasium.make_vec(BALANCE, num_envs=2, vectorization_mode="vector_entry_point")
+    with pytest.raises(UsageError, match="take autoreset_mode='SameStep', not"):
+        GymnasiumVecEnv(slow)
+    with pytest.raises(UsageError, match="Pendulum-v1 has no vector environment of its own; use SB3's"):
+        make_vec_env("Pendulum-v1")
+    env = make_vec_env(BALANCE, 2)
+    with pytest.raises(UsageError, match="have no method jump of their own"):
+        env.env_method("jump")
+    with pytest.raises(UsageError, match="share obs; set it for all"):
+        env.set_attr("obs", "trig", indices=0)
+    env.set_options({"speed": 3})
+    with pytest.raises(UsageError, match="can be given a state to start from, nothing else"):
+        env.reset()
+
+
+def test_any_vector_environment_of_gymnasium_serves() -> None:
+    from gymnasium.vector import AutoresetMode
+
+    plain = SyncVectorEnv([lambda: gymnasium.make("Pendulum-v1")] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
+    env = GymnasiumVecEnv(plain)
+    assert env.reset().shape == (2, 3)
+    assert env.step(np.zeros((2, 1), np.float32))[1].shape == (2,)
+
+
+def test_without_sb3_one_line_says_what_to_install() -> None:
+    code = "import sys; sys.modules['stable_baselines3'] = None; import planspace.envs.sb3"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "PlanspaceError: Stable-Baselines3 is not installed: pip install 'planspace[sb3]'" in done.stderr
