@@ -45,6 +45,14 @@ def swing_up_reward(
     return -np.abs(wrap(after[:, 1])) - 0.1 * np.sum(control**2, axis=1) + is_up(after, target)
 
 
+def swing_up_reward_of_2020(
+    before: np.ndarray, after: np.ndarray, control: np.ndarray, target: np.ndarray
+) -> Float[np.ndarray, " env"]:
+    """The same with the bonus on half the circle: 1 wherever theta < 0.1. Source: 2020 `cartpole_env.py`."""
+    theta = wrap(after[:, 1])
+    return -np.abs(theta) - 0.1 * np.sum(control**2, axis=1) + (theta < UPRIGHT)
+
+
 def is_up(states: np.ndarray, targets: np.ndarray) -> Bool[np.ndarray, " env"]:
     """Whether the pole stands."""
     return np.abs(wrap(states[:, 1])) < UPRIGHT

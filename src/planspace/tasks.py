@@ -27,14 +27,15 @@ from planspace.rewards import (
     never,
     reach_reward,
     swing_up_reward,
+    swing_up_reward_of_2020,
 )
 
 DISK = 0.2
 """Radius of the disk the reacher's targets are drawn from [m]."""
 
-RewardForm = Literal["dense", "sparse"]
-"""`dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere."""
-_REWARD_FORMS: tuple[RewardForm, ...] = get_args(RewardForm)
+RewardForm = Literal["dense", "sparse", "2020"]
+"""`dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere; `2020`: the swing-up's as the code of
+2020 had it, forces without limit."""
 
 ObsForm = Literal["raw", "wrapped", "trig"]
 """`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
@@ -78,12 +79,19 @@ class Task:
     """(before, after, control, targets) to the reward of a step."""
     at_goal: Callable[[np.ndarray, np.ndarray], np.ndarray]
     """(states, targets) to whether that is where the task is to get."""
+    reward_2020: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    """The reward with the mistakes of 2020, where it made some."""
     terminated: Callable[[np.ndarray], np.ndarray] = never
     """States after a step to whether the episode ends there."""
     quaternion: int | None = None
     """Where in the state a quaternion begins, if there is one; starts are drawn and brought to length 1."""
     has_target: bool = False
     """Whether a target is drawn for each episode."""
+
+    @property
+    def reward_forms(self) -> tuple[RewardForm, ...]:
+        """The forms of reward it has."""
+        return ("dense", "sparse") if self.reward_2020 is None else ("dense", "sparse", "2020")
 
     def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
         """Compiles the model and reads its state space."""
@@ -131,6 +139,8 @@ class Task:
         """The reward of a step in one of its forms."""
         if form == "sparse":
             return self.at_goal(after, targets).astype(float)
+        if form == "2020" and self.reward_2020 is not None:
+            return self.reward_2020(before, after, control, targets)
         return self.reward(before, after, control, targets)
 
     def fields(self, form: ObsForm) -> dict[str, str]:
@@ -236,6 +246,7 @@ TASKS: dict[str, Task] = {
             trig_columns=(1,),
             circular_columns=(1,),
             reward=swing_up_reward,
+            reward_2020=swing_up_reward_of_2020,
             at_goal=is_up,
         ),
         Task(
@@ -374,13 +385,13 @@ def find_obs_form(name: str) -> ObsForm:
     return _find("form of observation", name, _OBS_FORMS)
 
 
-def find_reward_form(name: str) -> RewardForm:
+def find_reward_form(name: str, task: Task) -> RewardForm:
     """The form of reward of a name.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the task has none of that name.
     """
-    return _find("form of reward", name, _REWARD_FORMS)
+    return _find(f"form of reward of {task.name}", name, task.reward_forms)
 
 
 def _find(what: str, name: str, forms: tuple[Form, ...]) -> Form:

@@ -40,6 +40,36 @@ def test_reward_of_the_swing_up_by_hand() -> None:
     np.testing.assert_allclose(reward(after, after, control, np.empty((3, 0))), [0.95, -3.9, -0.4])
 
 
+def test_what_2020_paid_by_hand() -> None:
+    reward = TASKS["cartpole-swingup"].reward_2020
+    assert reward is not None
+    after = np.array([[0, 3.0, 0, 0], [0, -3.0, 0, 0], [0, 2 * np.pi - 0.5, 0, 0]])
+    # no bonus on one half of the circle; on the other at -3 too, where the pole hangs; -0.5 seen the long way
+    expected = [-3.0, -3.0 + 1 - 0.1 * 10**2, -0.5 + 1]
+    np.testing.assert_allclose(reward(after, after, np.array([[0], [10], [0]]), np.empty((3, 0))), expected)
+
+
+def test_2020_pushed_without_limit_and_charged_for_it() -> None:
+    states, rewards = [], []
+    for force in (3.0, 6.0):
+        for form in ("dense", "2020"):
+            env = gymnasium.make("planspace/CartPoleSwingUp-v0", reward=form)
+            assert env.action_space == gymnasium.make("planspace/CartPoleSwingUp-v0").action_space
+            env.reset(seed=0, options={"state": [0.0, 1.0, 0.0, 0.0]})
+            _, reward, _, _, info = env.step(np.array([force], np.float32))
+            states.append(info["state"])
+            rewards.append(float(reward))
+    np.testing.assert_array_equal(states[0], states[1])
+    np.testing.assert_array_equal(states[0], states[2])  # ours is clipped
+    assert states[3][2] > 1.9 * states[0][2]
+    assert rewards[0] == rewards[1] == rewards[2]
+    assert rewards[3] - rewards[0] == pytest.approx(-0.1 * (36 - 9), abs=0.1)
+    with pytest.raises(
+        UsageError, match="unknown form of reward of reacher-raw '2020'.*Known: dense, sparse"
+    ):
+        gymnasium.make("planspace/ReacherRaw-v0", reward="2020")
+
+
 def test_reward_of_the_reacher_by_hand() -> None:
     reward = TASKS["reacher-raw"].reward
     before = np.array([[0.0, np.pi / 2, 0.0, 0.0]])  # elbow at (0.1, 0), fingertip at (0.1, 0.11)

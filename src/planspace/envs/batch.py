@@ -18,9 +18,11 @@ class TaskBatch:
             task: the task.
             num: how many episodes run side by side.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
-            reward: the task's own, or 1 at its goal alone.
+            reward: the form of reward. With that of 2020 controls have no limit, as in 2020.
         """
         model, space = task.compile()
+        if reward == "2020":
+            model.actuator_ctrllimited[:] = False
         self.task = task
         self.reward: RewardForm = reward
         self.simulator = Simulator(model, space, num, threads=threads)

@@ -53,7 +53,8 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         Args:
             task: the task's command-line name.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
-            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere.
+            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
+                what that study paid, mistakes and all, and forces without limit.
             render_mode: `human`, `rgb_array` or None.
 
         Raises:
@@ -63,7 +64,7 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         self.task = find_task(task)
         self.obs = find_obs_form(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
-        self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_form(reward))
+        self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_form(reward, self.task))
         self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
         self._renderer = Renderer(self._batch)
@@ -135,8 +136,8 @@ def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
 
 def spaces_of(task: Task, obs: ObsForm, batch: TaskBatch) -> tuple[Box, Box]:
     """The spaces of observations and actions of one episode."""
-    simulator = batch.simulator
-    actions = Box(simulator.control_low.astype(np.float32), simulator.control_high.astype(np.float32))
+    low, high = batch.simulator.model.actuator_ctrlrange.T.astype(np.float32)
+    actions = Box(low, high)
     return Box(-np.inf, np.inf, (len(task.fields(obs)),), np.float32), actions
 
 

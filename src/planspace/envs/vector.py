@@ -55,7 +55,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             task: the task's command-line name.
             num_envs: how many episodes run side by side.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
-            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere.
+            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
+                what that study paid, mistakes and all, and forces without limit.
             max_episode_steps: episodes are truncated after so many steps; by default the task's horizon.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
@@ -78,7 +79,9 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = AutoresetMode(mode)
         self.max_episode_steps = self.task.horizon if max_episode_steps is None else max_episode_steps
-        self._batch = TaskBatch(self.task, num_envs, threads=threads, reward=find_reward_form(reward))
+        self._batch = TaskBatch(
+            self.task, num_envs, threads=threads, reward=find_reward_form(reward, self.task)
+        )
         self.metadata = {
             **self.metadata,
             "autoreset_mode": self.autoreset_mode,
