@@ -1,6 +1,6 @@
 """Both presets on demonstrations never seen, five seeds each, z = 3 and 10.
 
-    python benchmarks/embedding_tables.py NAME=DEMOS ... [--presets modern paper] [--z 3 10]
+    python benchmarks/embedding_tables.py NAME=DEMOS ... [--presets modern paper] [--z 3 10] [--linearity 2]
 
 DEMOS is a dataset folder. For each preset and z it prints the metrics of the chosen seed on test
 demonstrations (mean and deviation over the seeds), and the raw state's. Every row is kept in
@@ -70,6 +70,7 @@ def main() -> None:
     parser.add_argument("--presets", nargs="*", default=["modern", "paper"])
     parser.add_argument("--z", nargs="*", type=int, default=[3, 10])
     parser.add_argument("--inputs", default=None)
+    parser.add_argument("--linearity", type=float, default=None)
     parser.add_argument("--paper-steps", type=int, default=300_000)
     arguments = parser.parse_args()
     make_folder(RESULTS)
@@ -80,7 +81,9 @@ def main() -> None:
         for preset in arguments.presets:
             for z in arguments.z:
                 steps = arguments.paper_steps if preset == "paper" else PRESETS[preset].steps
-                config = PRESETS[preset].changed(z_dim=z, steps=steps, inputs=arguments.inputs)
+                config = PRESETS[preset].changed(
+                    z_dim=z, steps=steps, inputs=arguments.inputs, linearity=arguments.linearity
+                )
                 result = row(name, demos, config)
                 cells = []
                 for metric in SHOWN:

@@ -1,6 +1,5 @@
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,39 +9,16 @@ import pytest
 from gymnasium.vector import SyncVectorEnv
 
 from planspace.embed.embedding import Embedding
-from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
+from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.errors import UsageError
-from planspace.tasks import TASKS
 
 pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
 
-from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from planspace.envs.sb3 import GymnasiumVecEnv, make_vec_env
 
 SWING_UP, BALANCE = "planspace/CartPoleSwingUp-v0", "planspace/CartPole-v0"
-NAMED_WARNINGS = ("symmetric and normalized",)
-"""That of an action range other than -1 to 1: actions are not rescaled silently."""
-
-
-def strange_warnings(env: gymnasium.Env) -> list[str]:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        check_env(env, skip_render_check=True)
-    return [str(w.message) for w in caught if not any(name in str(w.message) for name in NAMED_WARNINGS)]
-
-
-@pytest.mark.parametrize("env_id", [task.env_id for task in TASKS.values()])
-def test_sb3_accepts_every_task(env_id: str) -> None:
-    assert strange_warnings(gymnasium.make(env_id)) == []
-
-
-@pytest.mark.parametrize("mode", ["augment", "replace", "dict"])
-def test_sb3_accepts_wrapped_tasks(embedding_folder: Path, mode: str) -> None:
-    assert strange_warnings(PlanSpaceObservation(gymnasium.make(SWING_UP), embedding_folder, mode)) == []
-    shaped = PlanSpaceShaping(gymnasium.make(SWING_UP), embedding_folder, goal=[0.0] * 4)
-    assert strange_warnings(shaped) == []
 
 
 @pytest.mark.parametrize("mode", ["augment", "dict"])
