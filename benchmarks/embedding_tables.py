@@ -24,6 +24,7 @@ from planspace.store import json_hash, make_folder, read_json, write_json
 
 RESULTS = Path(__file__).parents[1] / "results" / "embedding" / "tables"
 NUM_SEEDS = 5
+SEEDS = list(range(NUM_SEEDS))
 SHOWN = (
     "straightness",
     "speed_variation",
@@ -35,9 +36,9 @@ SHOWN = (
 SHOWN += ("decoded_error",)
 
 
-def row(name: str, demos: Demos, config: FitConfig) -> dict:
+def row(name: str, demos: Demos, config: FitConfig, seeds: list[int]) -> dict:
     """One row, trained unless the results hold it."""
-    unit = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS}
+    unit = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS if seeds == SEEDS else seeds}
     file = RESULTS / f"{name}-{config.preset}-z{config.z_dim}-{json_hash(unit)[:12]}.json"
     if file.exists():
         return read_json(file)
@@ -45,7 +46,7 @@ def row(name: str, demos: Demos, config: FitConfig) -> dict:
     began = time.time()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        embeddings = fit_seeds(demos, out, config=config, seeds=list(range(NUM_SEEDS)), split_seed=0)
+        embeddings = fit_seeds(demos, out, config=config, seeds=seeds, split_seed=0)
         log = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     kept, validation = choose(embeddings, demos, split, config)
     result = {
@@ -69,6 +70,7 @@ def main() -> None:
     parser.add_argument("demos", nargs="+", metavar="NAME=DEMOS")
     parser.add_argument("--presets", nargs="*", default=["modern", "paper"])
     parser.add_argument("--z", nargs="*", type=int, default=[3, 10])
+    parser.add_argument("--seeds", nargs="*", type=int, default=SEEDS)
     parser.add_argument("--inputs", default=None)
     parser.add_argument("--linearity", type=float, default=None)
     parser.add_argument("--paper-steps", type=int, default=300_000)
@@ -84,7 +86,7 @@ def main() -> None:
                 config = PRESETS[preset].changed(
                     z_dim=z, steps=steps, inputs=arguments.inputs, linearity=arguments.linearity
                 )
-                result = row(name, demos, config)
+                result = row(name, demos, config, arguments.seeds)
                 cells = []
                 for metric in SHOWN:
                     values = np.array([g[metric] for g in result["test"]])

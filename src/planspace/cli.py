@@ -268,7 +268,7 @@ class Embed:
     """Train an embedding on demonstrations: several seeds at once, the best one saved."""
 
     demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder."""
+    """A dataset folder; or minari:ID, recorded from a task of planspace."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The embedding's folder. The same command continues an interrupted one."""
     preset: PresetName = "modern"

@@ -246,3 +246,53 @@ def test_without_minari_the_error_says_what_to_install(
         load(tmp_path)
     with pytest.raises(PlanspaceError, match=r"pip install 'planspace\[minari\]'"):
         export_demos(demos, f"minari:{NAME}")
+
+
+def record(minari, env_id: str, infos: bool = True, num: int = 2, **kwargs) -> np.ndarray:
+    """Records random episodes of a task; gives the states of the last."""
+    import gymnasium
+
+    env = minari.DataCollector(gymnasium.make(env_id, **kwargs), record_infos=infos)
+    folders = [env._tmp_dir]
+    env.action_space.seed(0)
+    for seed in range(num):
+        states = [env.reset(seed=seed)[1]["state"]]
+        for _ in range(15):
+            states.append(env.step(env.action_space.sample())[4]["state"])
+    with pytest.warns(UserWarning):
+        env.create_dataset(NAME)
+    for folder in [*folders, env._tmp_dir]:  # Minari leaves them to the garbage collector, with a warning
+        folder.cleanup()
+    return np.array(states)
+
+
+@pytest.mark.parametrize("infos", [True, False])
+@pytest.mark.parametrize("obs", ["raw", "trig"])
+def test_what_a_task_recorded_needs_no_telling(minari, infos: bool, obs: str) -> None:
+    states = record(minari, "planspace/CartPoleSwingUp-v0", infos, obs=obs)
+    demos = load_demos(f"minari:{NAME}")
+    assert demos.info.names == ("slider", "hinge", "slidervel", "hingevel")
+    assert demos.info.problem == "cartpole-swingup" and demos.info.circular_columns == (1,)
+    assert len(demos) == 2
+    last = demos.episode(1)
+    np.testing.assert_allclose(last.times, 0.04 * np.arange(16))
+    off = np.round((last.states - states) / (2 * np.pi)) * 2 * np.pi  # whole turns, so that it ends near 0
+    np.testing.assert_allclose(last.states - off, states, rtol=1e-6)
+    np.testing.assert_array_equal(off[:, [0, 2, 3]], 0.0)
+
+
+def test_states_that_were_not_recorded_are_asked_for(minari) -> None:
+    record(minari, "planspace/ReacherTrig-v0", infos=False)
+    with pytest.raises(UsageError, match=r"do not hold the states \(joint0, .*record_infos=True"):
+        load_demos(f"minari:{NAME}")
+
+
+def test_a_recorded_task_is_embedded_unchanged(minari, tmp_path: Path, capsys) -> None:
+    from planspace import load_embedding
+    from planspace.cli import main
+
+    record(minari, "planspace/ReacherTrig-v0", num=12)
+    small = ["--steps", "20", "--batch", "16", "--seeds", "1"]
+    assert main(["embed", f"minari:{NAME}", "--out", str(tmp_path / "e"), *small]) == 0
+    capsys.readouterr()
+    assert load_embedding(tmp_path / "e").inputs.names == ("joint0", "joint1", "joint0vel", "joint1vel")

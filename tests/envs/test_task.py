@@ -140,6 +140,28 @@ def test_ten_thousand_random_steps_stay_in_bounds() -> None:
         assert "diverged" not in info
 
 
+@pytest.mark.parametrize("env_id", IDS)
+def test_physics_is_a_plain_loop_of_mj_step(env_id: str) -> None:
+    import mujoco
+
+    env = gymnasium.make(env_id)
+    task = env.unwrapped.task  # pyright: ignore
+    model, space = task.compile()
+    data = mujoco.MjData(model)
+    env.action_space.seed(0)
+    _, info = env.reset(seed=0)
+    space.write(info["state"], data.qpos, data.qvel)
+    for _ in range(60):
+        action = env.action_space.sample()
+        _, _, terminated, _, info = env.step(action)
+        data.ctrl[:] = action
+        for _ in range(task.frame_skip):
+            mujoco.mj_step(model, data)
+        np.testing.assert_array_equal(info["state"], space.read(data.qpos, data.qvel))
+        if terminated:
+            break
+
+
 def test_the_applied_control_is_what_is_charged() -> None:
     batch = TaskBatch(TASKS["cartpole-swingup"], 2, threads=1)
     batch.reset(np.zeros((2, 4)), np.empty((2, 0)))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from planspace.demos.csv_files import csv_text, read_csv
-from planspace.demos.dataset import MANIFEST, DemoFolder, Demos, StateInfo
+from planspace.demos.dataset import MANIFEST, MINARI_PREFIX, DemoFolder, Demos, Episode, StateInfo
 from planspace.demos.layouts_2020 import read_json_paths, read_out_paths
 from planspace.demos.minari import read_minari, write_minari
 from planspace.demos.recording import (
@@ -28,7 +28,6 @@ from planspace.store import file_hash, json_hash, read_bytes, write_bytes
 
 NPZ_KEYS = ("states", "controls", "time", "offsets")
 IMPORT_SHARD_EPISODES = 256
-MINARI_PREFIX = "minari:"
 SUFFIXES = (".npz", ".csv", ".json", ".out")
 IMPORT_KINDS = "FILE.npz, FILE.csv, minari:ID, or a folder of .csv, .json or .out files"
 EXPORT_KINDS = "FILE.npz, FILE.csv or minari:ID"
@@ -130,13 +129,25 @@ def _hash(files: Sequence[Path]) -> str:
     return json_hash({"files": [[file.name, file_hash(file)] for file in files]})
 
 
-def _store(imported: Imported, out: Path, origin: dict[str, str], options: ImportOptions) -> DemoFolder:
-    """Brings angles and steps in order, checks everything, and only then makes the folder."""
+def minari_demos(source: str) -> Demos:
+    """Demonstrations of `minari:ID` as they would be imported, without a folder.
+
+    Raises:
+        UsageError: its name is malformed, or its states have to be told; `planspace demos import` can.
+        PlanspaceError: it cannot be read.
+    """
+    options = ImportOptions()
+    imported = read_minari(source.removeprefix(MINARI_PREFIX), None, options)
+    return Demos.from_episodes(imported.info, _in_order(imported, source, options))
+
+
+def _in_order(imported: Imported, source: str, options: ImportOptions) -> list[Episode]:
+    """Checks everything, brings angles and steps in order, and says on standard error what was assumed."""
     info, episodes, notices = imported.info, imported.episodes, list(imported.notices)
     try:
         Demos.from_episodes(info, episodes)
     except PlanspaceError as error:
-        raise PlanspaceError(f"{origin['imported']}: {error}") from error
+        raise PlanspaceError(f"{source}: {error}") from error
     if not options.as_recorded:
         keep = imported.keep_angles
         episodes = [with_continuous_angles(e, info, keep_windings=keep) for e in episodes]
@@ -148,6 +159,12 @@ def _store(imported: Imported, out: Path, origin: dict[str, str], options: Impor
             episodes = resampled
     for notice in notices:
         print(notice, file=sys.stderr)
+    return episodes
+
+
+def _store(imported: Imported, out: Path, origin: dict[str, str], options: ImportOptions) -> DemoFolder:
+    """Makes the folder, once everything is in order."""
+    info, episodes = imported.info, _in_order(imported, origin["imported"], options)
     content = Demos.from_episodes(info, episodes).hash
     folder = DemoFolder(out, info, {**origin, "problem": info.problem, "content": content})
     for first in range(folder.next_index, len(episodes), IMPORT_SHARD_EPISODES):

@@ -34,6 +34,7 @@ from planspace.store import (
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
+MINARI_PREFIX = "minari:"
 SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
 """Shares of the demonstrations; the rest is the test split."""
 
@@ -60,6 +61,19 @@ class StateInfo:
     """Where in a state each quaternion (w, x, y, z) begins."""
     kinematic: bool = False
     """Whether states are positions alone, and controls velocities."""
+
+    @classmethod
+    def of_model(cls, model: mujoco.MjModel, space: StateSpace, **known: Any) -> "StateInfo":
+        """What a model and its state space say; `known` are the other fields."""
+        return cls(
+            names=space.names,
+            units=space.units,
+            circular_columns=space.circular_columns,
+            num_controls=space.num_dofs if space.kinematic else model.nu,
+            quaternion_columns=space.quaternion_columns,
+            kinematic=space.kinematic,
+            **known,
+        )
 
     def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
         """Compiles the model and reads its state space.
@@ -280,11 +294,15 @@ def load_demos(path: str | Path) -> Demos:
     """Reads a dataset and verifies every shard.
 
     Args:
-        path: its folder.
+        path: its folder; or `minari:ID`, a dataset that Minari has on this machine.
 
     Raises:
         PlanspaceError: no dataset, a newer schema, or a missing or altered shard (which is named).
     """
+    if str(path).startswith(MINARI_PREFIX):
+        from planspace.demos.convert import minari_demos  # which stands on this module
+
+        return minari_demos(str(path))
     path = Path(path)
     manifest = _read_manifest(path)
     if not manifest["shards"]:

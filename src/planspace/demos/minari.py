@@ -19,6 +19,7 @@ import numpy as np
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.observations import choose_states, flat
+from planspace.demos.recorded_task import RecordedTask, recorded_task
 from planspace.demos.recording import Imported, ImportOptions, anonymous_info, check_rising, recorded
 from planspace.errors import PlanspaceError, UsageError
 from planspace.store import read_json
@@ -40,8 +41,8 @@ def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions)
 
     Args:
         dataset_id: Minari's name of it.
-        info: the problem's states, if there is a problem; otherwise those our exporter wrote down, or
-            `state0`, `state1` ... .
+        info: the problem's states, if there is a problem; otherwise those our exporter wrote down, those of
+            the task of ours it was recorded from, or `state0`, `state1` ... .
         options: `states` maps a name to `3`, `key[3]` or `key`; `dt` is the time step [s].
 
     Raises:
@@ -52,12 +53,16 @@ def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions)
     ours = _our_info(metadata, dataset_id)
     if ours is not None and options.dt is not None:
         raise UsageError(f"--dt has no meaning for {dataset_id}, which has times of its own; leave it out.")
-    step, notices = _step(metadata, options)
-    info = info or ours
+    task = recorded_task(metadata) if ours is None and not options.states else None
+    step, notices = _step(metadata, options, task)
+    info = info or ours or (task.info if task else None)
     episodes: list[Episode] = []
     for i, (data, extra) in enumerate(pairs):
         where = f"{dataset_id}, episode {i}"
-        states = choose_states(data.observations, info, options, where)
+        if task:
+            states = task.states(data.observations, data.infos, where)
+        else:
+            states = choose_states(data.observations, info, options, where)
         controls = flat(data.actions, f"the actions of {where}")
         if info is None:
             info = anonymous_info(states.shape[1], controls.shape[1])
@@ -119,10 +124,14 @@ def _our_info(metadata: dict[str, Any], dataset_id: str) -> StateInfo | None:
     return info
 
 
-def _step(metadata: dict[str, Any], options: ImportOptions) -> tuple[float, tuple[str, ...]]:
+def _step(
+    metadata: dict[str, Any], options: ImportOptions, task: RecordedTask | None
+) -> tuple[float, tuple[str, ...]]:
     """The time step [s], and what to say about it."""
     if options.dt is not None:
         return options.dt, ()
+    if task is not None:
+        return task.step, ()
     step = metadata.get(STEP_KEY)
     if isinstance(step, int | float) and 0 < step < np.inf:
         return float(step), ()

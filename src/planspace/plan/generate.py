@@ -160,17 +160,7 @@ def _check_start(problem: Problem) -> None:
 def state_info(problem: Problem) -> StateInfo:
     """What the states of a problem's demonstrations are."""
     model, space = problem.compile()
-    return StateInfo(
-        names=space.names,
-        units=space.units,
-        circular_columns=space.circular_columns,
-        num_controls=space.num_dofs if space.kinematic else model.nu,
-        problem=problem.name,
-        joints=problem.joints,
-        mjcf=problem.mjcf,
-        quaternion_columns=space.quaternion_columns,
-        kinematic=space.kinematic,
-    )
+    return StateInfo.of_model(model, space, problem=problem.name, joints=problem.joints, mjcf=problem.mjcf)
 
 
 def plan_one(problem: Problem, config: PlannerConfig, seed: int, index: int) -> Episode | Failure:

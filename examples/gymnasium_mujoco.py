@@ -1,0 +1,83 @@
+"""An embedding for an environment of Gymnasium's own: planned in its model, put in front of its agent.
+
+    python examples/gymnasium_mujoco.py Reacher-v5 --out reacher        # or InvertedPendulum-v5
+
+Demonstrations are planned over the very MJCF file the environment loads, and an embedding is trained on them;
+`PlanSpaceObservation` then reads the joints it needs off the environment by name.
+"""
+
+import argparse
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from gymnasium.envs import mujoco as gymnasium_mujoco
+
+import planspace
+from planspace.embed.config import PRESETS
+from planspace.embed.fit import fit
+from planspace.envs.wrappers import PlanSpaceObservation
+from planspace.plan.generate import generate
+from planspace.plan.problem_file import load_problem
+
+ASSETS = Path(gymnasium_mujoco.__file__).parent / "assets"
+
+PROBLEMS = {
+    "Reacher-v5": (
+        "reacher.xml",
+        """
+model: reacher.xml
+joints: [joint0, joint1]
+start: {low: [-3.1, -2.9, -0.1, -0.1], high: [3.1, 2.9, 0.1, 0.1]}
+goal: [0.0, 1.57, 0.0, 0.0]
+tolerance: 0.1
+feature_weights: [0.4, 0.4, 0.04, 0.04]
+sample_velocity: [25.0, 25.0]
+""",
+    ),
+    "InvertedPendulum-v5": (
+        "inverted_pendulum.xml",
+        """
+model: inverted_pendulum.xml
+joints: [slider, hinge]
+start: {low: [-0.2, -0.4, -0.1, -0.1], high: [0.2, 0.4, 0.1, 0.1]}
+goal: [0.0, 0.0, 0.0, 0.0]
+tolerance: 0.1
+""",
+    ),
+}
+
+
+def main() -> None:
+    """Plans, trains, and shows the environment with z."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("env_id", choices=PROBLEMS)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--num", type=int, default=100, help="demonstrations")
+    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="of training")
+    arguments = parser.parse_args()
+
+    model, problem = PROBLEMS[arguments.env_id]
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    shutil.copy(ASSETS / model, arguments.out)
+    (arguments.out / "problem.yaml").write_text(problem)
+    demos = arguments.out / "demos"
+    generate(load_problem(str(arguments.out / "problem.yaml")), demos, num=arguments.num, seed=0)
+    config = replace(PRESETS["modern"], steps=arguments.steps)
+    fit(planspace.load_demos(demos), arguments.out / "embedding", config=config, num_seeds=5, seed=0)
+
+    env = PlanSpaceObservation(gymnasium.make(arguments.env_id), arguments.out / "embedding")
+    obs, _ = env.reset(seed=0)
+    before = env.unwrapped.observation_space.shape
+    print(f"{arguments.env_id}: an observation had {before[0]} numbers, with z it has {len(obs)}")
+    env.action_space.seed(0)
+    z = [env.step(env.action_space.sample())[0][-env.embedding.z_dim :] for _ in range(5)]
+    print("z, five random steps:\n", np.round(z, 3))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Somebody's demonstrations: recorded by Minari's `DataCollector`, embedded unchanged.
+
+    pip install 'planspace[minari]'
+    python examples/minari_demos.py swingup/expert-v0 --episodes 50 --out embedding
+
+The expert here plays planned controls; any controller, agent or person in the same environment will do.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import minari
+import numpy as np
+
+import planspace
+from planspace.embed.config import PRESETS
+from planspace.embed.fit import fit
+from planspace.plan.generate import generate
+from planspace.plan.problem_file import load_problem
+
+TASK = "planspace/CartPoleSwingUp-v0"
+
+
+def record(dataset_id: str, plans: planspace.Demos) -> None:
+    """Plays each plan from its own start and stores the episodes under a name in Minari."""
+    env = minari.DataCollector(gymnasium.make(TASK), record_infos=True)
+    for i in range(len(plans)):
+        plan = plans.episode(i)
+        env.reset(seed=i, options={"state": plan.states[0]})
+        for control in plan.controls[::2]:  # a step of the environment is two of the physics
+            env.step(control.astype(np.float32))
+    env.create_dataset(dataset_id, eval_env=TASK, description="Planned swing-ups of a cart-pole.")
+    env.close()
+
+
+def main() -> None:
+    """Records, and embeds what was recorded."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("dataset_id", metavar="NAMESPACE/NAME-v0")
+    parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="of training")
+    arguments = parser.parse_args()
+    plans = arguments.out / "plans"
+    generate(load_problem("cartpole-swingup"), plans, num=arguments.episodes, seed=0)
+    record(arguments.dataset_id, planspace.load_demos(plans))
+
+    demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # knows the task it was recorded from
+    config = replace(PRESETS["modern"], steps=arguments.steps)
+    fit(demos, arguments.out / "embedding", config=config, num_seeds=5, seed=0)
+    print(f"the same from the command line: planspace embed minari:{arguments.dataset_id} --out embedding")
+
+
+if __name__ == "__main__":
+    main()

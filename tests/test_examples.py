@@ -1,0 +1,53 @@
+"""Every example runs, on a tiny budget."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+EMBEDDING, OUT = "EMBEDDING", "OUT"
+
+CASES = [
+    ("agents_sb3.py", (EMBEDDING, "--agent", agent, "--workers", workers, *tiny), r"return -\d+\.\d")
+    for agent in ("ppo", "trpo")
+    for workers in ("ours", "subproc")
+    for tiny in [("--num-envs", "2", "--steps", "4000")]
+]
+CASES += [
+    ("gymnasium_mujoco.py", ("Reacher-v5", "--out", OUT), "had 10 numbers, with z it has 13"),
+    ("gymnasium_mujoco.py", ("InvertedPendulum-v5", "--out", OUT), "had 4 numbers, with z it has 7"),
+    ("numpy_search.py", (EMBEDDING, "--num-envs", "20", "--iterations", "2"), r"iteration 1: mean +-\d"),
+    ("jax_loop.py", (EMBEDDING, "--num-envs", "5", "--iterations", "2"), r"iteration 1: return -\d"),
+    ("minari_demos.py", ("swingup/expert-v0", "--episodes", "12", "--out", OUT), "planspace embed minari:"),
+]
+NEEDS = {"agents_sb3.py": "sb3_contrib", "minari_demos.py": "minari"}
+FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("script", "arguments", "says"), CASES, ids=[f"{c[0]}-{c[1][2]}" for c in CASES])
+def test_it_runs(
+    script: str, arguments: tuple[str, ...], says: str, embedding_folder: Path, tmp_path: Path
+) -> None:
+    if script in NEEDS:
+        pytest.importorskip(NEEDS[script], reason="needs an extra")
+    paths = {EMBEDDING: str(embedding_folder), OUT: str(tmp_path / "out")}
+    command = [sys.executable, str(EXAMPLES / script), *(paths.get(a, a) for a in arguments)]
+    done = subprocess.run(
+        [*command, *FEW.get(script, ())],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "MINARI_DATASETS_PATH": str(tmp_path / "minari")},
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.search(says, done.stdout)
+
+
+def test_none_is_left_out() -> None:
+    assert {case[0] for case in CASES} == {file.name for file in EXAMPLES.glob("*.py")}
