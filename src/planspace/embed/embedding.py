@@ -10,6 +10,7 @@ The JSON is sealed by its own checksum and holds the SHA-256 of the weights.
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,22 +89,27 @@ class Inputs:
             mean = values.mean(axis=0)
         return cls(tuple(names), tuple(units), tuple(circular_columns), form, mean, deviation)
 
-    @property
-    def columns(self) -> tuple[int, ...]:
+    @cached_property
+    def columns(self) -> list[int]:
         """For each input, the column of the state it comes from."""
         circular = self.circular_columns if self.form == "trig" else ()
-        return tuple(c for c in range(len(self.names)) for _ in range(2 if c in circular else 1))
+        return [c for c in range(len(self.names)) for _ in range(2 if c in circular else 1)]
+
+    @cached_property
+    def _sines(self) -> list[int]:
+        """The inputs that are sines; a cosine follows each."""
+        return [i for i, c in enumerate(self.columns[:-1]) if c == self.columns[i + 1]]
 
     def expand(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
         """States to inputs, before standardising."""
-        if self.form != "trig" or not self.circular_columns:
-            return np.asarray(states)
-        parts = []
-        for column in range(len(self.names)):
-            values = states[..., column]
-            circular = column in self.circular_columns
-            parts += [np.sin(values), np.cos(values)] if circular else [values]
-        return np.stack(parts, axis=-1)
+        values = np.asarray(states)
+        if not self._sines:
+            return values
+        values = values[..., self.columns]
+        for i in self._sines:
+            values[..., i] = np.sin(values[..., i])
+            values[..., i + 1] = np.cos(values[..., i + 1])
+        return values
 
     def __call__(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
         """States to the encoder's inputs."""
@@ -170,6 +176,16 @@ class Embedding:
         """Numbers in a state."""
         return len(self.inputs.names)
 
+    @cached_property
+    def _mean_layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights [in, out] and biases of what gives the mean, with the turn in the last; for speed."""
+        weights, biases = self.encoder
+        weight, bias = weights[-1][: self.z_dim].T, biases[-1][: self.z_dim]
+        if self.turn is not None:
+            weight, bias = weight @ self.turn.matrix, (bias - self.turn.centre) @ self.turn.matrix
+        last = [(np.ascontiguousarray(weight), bias)]
+        return [(np.ascontiguousarray(w.T), b) for w, b in zip(weights[:-1], biases[:-1], strict=True)] + last
+
     def columns_of(self, names: Sequence[str]) -> tuple[int, ...]:
         """Where, among these states, are the ones it reads.
 
@@ -187,8 +203,16 @@ class Embedding:
         return tuple(list(names).index(name) for name in self.inputs.names)
 
     def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
-        """The mean of q(z|x), which is what an agent observes."""
-        return self.encode_distribution(states)[0]
+        """The mean of q(z|x), which is what an agent observes.
+
+        Raises:
+            PlanspaceError: the states have another number of columns.
+        """
+        *hidden, (weight, bias) = self._mean_layers
+        x = self.inputs(self._checked(states)).astype(bias.dtype)
+        for w, b in hidden:
+            x = np.maximum(x @ w + b, 0.0)
+        return x @ weight + bias
 
     def encode_distribution(
         self, states: Float[np.ndarray, "*batch state"]
@@ -210,7 +234,7 @@ class Embedding:
         self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
     ) -> Float[np.ndarray, "*batch3"]:
         """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
-        return np.asarray(np.linalg.norm(self.encode(a) - self.encode(b), axis=-1))
+        return norm(self.encode(a) - self.encode(b))
 
     def outside_support(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Which states lie outside what the demonstrations cover, where z is a guess.
@@ -340,6 +364,11 @@ def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarra
         [arrays[f"{name}.{i}.weight"] for i in range(count)],
         [arrays[f"{name}.{i}.bias"] for i in range(count)],
     )
+
+
+def norm(x: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch"]:
+    """The length of each vector; for a single one three times as fast as `np.linalg.norm`."""
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", x, x)))
 
 
 def _gaussian(

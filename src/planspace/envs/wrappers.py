@@ -16,7 +16,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from planspace.embed.embedding import Embedding, load_embedding
+from planspace.embed.embedding import Embedding, load_embedding, norm
 from planspace.envs.source import StateSource, source_of_columns, state_source, vector_state_source
 from planspace.errors import UsageError, unknown
 
@@ -299,13 +299,14 @@ class _Potential:
 
     embedding: Embedding
     source: StateSource
-    goals: np.ndarray | StateSource
-    """One state for all, or where they are read."""
+    goal: np.ndarray | StateSource
+    """z of the one goal, or where the goals' states are read."""
     scale: float
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
-        goals = self.goals if isinstance(self.goals, np.ndarray) else self.goals(obs, info)
-        return np.asarray(-self.scale * self.embedding.distance(self.source(obs, info), goals))
+        encode, goal = self.embedding.encode, self.goal
+        z_goal = goal if isinstance(goal, np.ndarray) else encode(goal(obs, info))
+        return np.asarray(-self.scale * norm(encode(self.source(obs, info)) - z_goal))
 
 
 def _potential(
@@ -320,7 +321,7 @@ def _potential(
     if not (np.isfinite(scale) and scale > 0):
         raise UsageError(f"scale must be above 0, got {scale}.")
     if goal is not None and goal_columns is None:
-        return _Potential(embedding, source, _goal_state(embedding, goal), scale)
+        return _Potential(embedding, source, embedding.encode(_goal_state(embedding, goal)), scale)
     if goal_columns is not None and goal is None:
         return _Potential(embedding, source, source_of_columns(space, embedding, goal_columns), scale)
     raise UsageError("give the goal, or goal_columns where it is in the observation: one of the two.")
