@@ -1,21 +1,34 @@
-"""Speed of the environments: ours beside bare physics, Gymnasium's vector environments and wrappers.
+"""Speed of the environments: ours beside bare physics, Gymnasium's and SB3's, and what a wrapper costs.
 
     python benchmarks/env_throughput.py [--task cartpole-swingup] [--rounds 5] [--num-envs 64 600 4096]
 
 Environment steps a second, each round of which times everything in turn; medians, and the median (least to
 greatest) of each round's ratio to ours at the same number of environments. Bare physics is `mujoco.batch`
-stepping the same episodes, with nothing observed or rewarded.
+stepping the same episodes, with nothing observed or rewarded. The wrappers stand on an embedding of the usual
+shape (2 x 64 units, z = 3, sin and cos of the angle), its weights drawn at random.
 """
 
 import argparse
+import importlib.util
+import itertools
+import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import gymnasium
 import mujoco.batch
 import numpy as np
 
+from planspace.embed.embedding import Embedding, Inputs, Turn
 from planspace.envs.vector import TaskVectorEnv
+from planspace.envs.wrappers import (
+    PlanSpaceObservation,
+    PlanSpaceShaping,
+    PlanSpaceVectorObservation,
+    PlanSpaceVectorShaping,
+)
 from planspace.tasks import Task, find_task
 
 SECONDS = 1.0
@@ -59,6 +72,98 @@ def timed(step: Callable[[], None], calls: int) -> float:
     return time.perf_counter() - began
 
 
+def make_embedding(task: Task, folder: Path) -> Path:
+    """An embedding of the task's state, of the usual shape."""
+    rng, space = np.random.default_rng(0), task.compile()[1]
+    inputs = Inputs.fit(
+        rng.normal(size=(9, space.size)), space.names, space.units, space.circular_columns, "trig"
+    )
+
+    def layers(*sizes: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        weights = [rng.normal(size=(b, a)).astype(np.float32) for a, b in itertools.pairwise(sizes)]
+        return weights, [np.zeros(len(w), np.float32) for w in weights]
+
+    num = len(inputs.columns)
+    turn = Turn(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
+    Embedding(inputs, layers(num, 64, 64, 6), layers(3, 64, 64, 2 * num), 0.0, turn).save(
+        folder / "embedding"
+    )
+    return folder / "embedding"
+
+
+def sb3_environments(task: Task, num: int) -> dict[str, object]:
+    """Ours and SB3's own, where it is installed."""
+    if importlib.util.find_spec("stable_baselines3") is None:
+        return {}
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    from planspace.envs.sb3 import make_vec_env
+
+    make = partial(gymnasium.make, task.env_id)
+    return {
+        "ours for SB3": make_vec_env(task.env_id, num),
+        "SB3's SubprocVecEnv": SubprocVecEnv([make] * num),
+    }
+
+
+def compare(kinds: dict[str, Callable[[], None]], num: int, rounds: int) -> None:
+    """Times everything in turn and prints it beside the first."""
+    first = next(iter(kinds))
+    rows = [{name: rate(step, num) for name, step in kinds.items()} for _ in range(rounds)]
+    for name in kinds:
+        values = np.array([row[name] for row in rows])
+        ratio = values / np.array([row[first] for row in rows])
+        spread = f"{np.median(ratio):.3f} ({ratio.min():.3f} to {ratio.max():.3f})"
+        print(f"{f'{num} environments, {name}':<44}{np.median(values):>12,.0f}{spread:>24}", flush=True)
+
+
+def throughput(task: Task, num: int, rounds: int) -> None:
+    """Many episodes: ours, the physics alone, and other people's."""
+    ours = TaskVectorEnv(task.name, num)
+    ours.action_space.seed(0)
+    actions = ours.action_space.sample()
+    kinds = {"ours": stepping(ours, actions), "bare physics": bare(task, num, ours.states, actions)}
+    others = []
+    if num <= 64:  # a process each, or a Python loop over as many objects
+        for mode in ("sync", "async"):
+            others.append(gymnasium.make_vec(task.env_id, num_envs=num, vectorization_mode=mode))
+            kinds[f"Gymnasium's {mode}"] = stepping(others[-1], actions)
+        for name, env in sb3_environments(task, num).items():
+            others.append(env)
+            env.reset()
+            kinds[name] = partial(env.step, actions)
+    compare(kinds, num, rounds)
+    for env in others:
+        env.close()
+
+
+def wrapper_cost(task: Task, nums: list[int], rounds: int, embedding: Path) -> None:
+    """What z and shaping add to a step, of one episode and of many."""
+    goal = [0.0] * task.compile()[1].size
+    print(f"\n{'microseconds a step':<44}{'median':>12}{'more than bare':>24}")
+    for num in [1, *nums]:
+        if num == 1:
+            env = gymnasium.make(task.env_id, disable_env_checker=True, max_episode_steps=-1).unwrapped
+            shown, shaped = PlanSpaceObservation(env, embedding), PlanSpaceShaping(env, embedding, goal)
+        else:
+            env = TaskVectorEnv(task.name, num)
+            shown = PlanSpaceVectorObservation(env, embedding)
+            shaped = PlanSpaceVectorShaping(env, embedding, goal)
+        env.action_space.seed(0)
+        actions = env.action_space.sample()
+        kinds = {}
+        for name, kind in {"bare": env, "with z": shown, "with shaping": shaped}.items():
+            kind.reset(seed=0)
+            kinds[name] = partial(kind.step, actions)
+        rows = [{name: 1e6 / rate(step, 1) for name, step in kinds.items()} for _ in range(rounds)]
+        for name in kinds:
+            values = np.array([row[name] for row in rows])
+            more = values - np.array([row["bare"] for row in rows])
+            share = np.median(more) / np.median(values - more)
+            spread = f"{np.median(more):.1f} ({more.min():.1f} to {more.max():.1f}) {share:4.0%}"
+            print(f"{f'{num} environments, {name}':<44}{np.median(values):>12,.1f}{spread:>24}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -71,24 +176,10 @@ def main() -> None:
     print(f"command: python benchmarks/env_throughput.py --task {task.name} --rounds {arguments.rounds}")
     print(f"{'steps a second':<44}{'median':>12}{'over ours':>24}")
     for num in arguments.num_envs:
-        ours = TaskVectorEnv(task.name, num)
-        ours.action_space.seed(0)
-        actions = ours.action_space.sample()
-        kinds = {"ours": stepping(ours, actions), "bare physics": bare(task, num, ours.states, actions)}
-        others = []
-        if num <= 64:  # a process each, or a Python loop over as many objects
-            for mode in ("sync", "async"):
-                env = gymnasium.make_vec(task.env_id, num_envs=num, vectorization_mode=mode)
-                kinds[f"Gymnasium's {mode}"] = stepping(env, actions)
-                others.append(env)
-        rows = [{name: rate(step, num) for name, step in kinds.items()} for _ in range(arguments.rounds)]
-        for name in kinds:
-            values = np.array([row[name] for row in rows])
-            ratio = values / np.array([row["ours"] for row in rows])
-            spread = f"{np.median(ratio):.3f} ({ratio.min():.3f} to {ratio.max():.3f})"
-            print(f"{f'{num} environments, {name}':<44}{np.median(values):>12,.0f}{spread:>24}", flush=True)
-        for env in others:
-            env.close()
+        throughput(task, num, arguments.rounds)
+    with tempfile.TemporaryDirectory() as folder:
+        embedding = make_embedding(task, Path(folder))
+        wrapper_cost(task, arguments.num_envs, arguments.rounds, embedding)
 
 
 if __name__ == "__main__":

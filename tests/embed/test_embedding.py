@@ -130,3 +130,14 @@ def test_columns_are_found_by_name(embedding: Embedding) -> None:
         PlanspaceError, match=r"reads states of 4 numbers \(slider, .*\), these have 2 \(slider, hinge\): 'sl"
     ):
         embedding.columns_of(("slider", "hinge"))
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (63,), (64,), (65,), (3, 70), (0,)])
+def test_many_are_encoded_in_blocks_as_one_by_one(
+    embedding: Embedding, shape: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    states = rng.normal(size=(*shape, 4))
+    z = embedding.encode(states)
+    assert z.shape == (*shape, 3) and z.dtype == np.float32
+    for i in np.ndindex(shape):
+        np.testing.assert_allclose(z[i], embedding.encode_distribution(states[i])[0], atol=1e-5)

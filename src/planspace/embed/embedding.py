@@ -35,6 +35,9 @@ CARD, LOG = "README.md", "log.jsonl"
 ARCHITECTURE = "relu-gaussian"
 """The one architecture there is: `embed.networks`. A file names it; it never names code."""
 MIN_DEVIATION = 1e-6
+ONE_THREAD = 2**18
+"""OpenBLAS makes a product of so many multiplications in the thread that asks for it. States are encoded in
+blocks as small: a thread it had woken would spin on, on a core that the next step of the physics needs."""
 
 InputForm = Literal["raw", "standard", "trig"]
 
@@ -176,6 +179,15 @@ class Embedding:
         """Numbers in a state."""
         return len(self.inputs.names)
 
+    def _mean(self, x: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch z"]:
+        *hidden, (weight, bias) = self._mean_layers
+        x = x.astype(bias.dtype)
+        for w, b in hidden:
+            x = x @ w
+            x += b
+            np.maximum(x, 0.0, out=x)
+        return x @ weight + bias
+
     @cached_property
     def _mean_layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Weights [in, out] and biases of what gives the mean, with the turn in the last; for speed."""
@@ -208,11 +220,15 @@ class Embedding:
         Raises:
             PlanspaceError: the states have another number of columns.
         """
-        *hidden, (weight, bias) = self._mean_layers
-        x = self.inputs(self._checked(states)).astype(bias.dtype)
-        for w, b in hidden:
-            x = np.maximum(x @ w + b, 0.0)
-        return x @ weight + bias
+        x = self.inputs(self._checked(states))
+        *leading, width = x.shape
+        rows = max(1, ONE_THREAD // max(weight.size for weight, _ in self._mean_layers))
+        if x.size <= rows * width:
+            return self._mean(x)
+        x = x.reshape(-1, width)
+        blocks = np.zeros((-(-len(x) // rows), rows, width))
+        blocks.reshape(-1, width)[: len(x)] = x
+        return self._mean(blocks).reshape(-1, self.z_dim)[: len(x)].reshape(*leading, self.z_dim)
 
     def encode_distribution(
         self, states: Float[np.ndarray, "*batch state"]

@@ -228,6 +228,7 @@ class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConst
         self._discount = _checked_discount(discount)
         self._before = np.zeros(env.num_envs)
         self._restarting = np.zeros(env.num_envs, dtype=bool)
+        self._next_step = env.metadata.get("autoreset_mode") == gymnasium.vector.AutoresetMode.NEXT_STEP
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -243,17 +244,16 @@ class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConst
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Takes a step of every episode."""
         obs, rewards, terminated, truncated, info = self.env.step(actions)
-        now = self._potential(obs, info)
-        after = now.copy()
+        now = after = self._potential(obs, info)
         if "final_obs" in info:  # ended and begun anew in this step
-            ended = np.flatnonzero(info["_final_obs"])
+            ended, after = np.flatnonzero(info["_final_obs"]), now.copy()
             last = np.stack(info["final_obs"][ended])
             after[ended] = self._potential(last, _rows(info.get("final_info", {}), ended))
-        after = np.where(terminated, 0.0, after)
-        shaping = np.where(self._restarting, 0.0, self._discount * after - self._before)
+        shaping = self._discount * np.where(terminated, 0.0, after) - self._before
+        shaping[self._restarting] = 0.0
         self._before = now
-        next_step = self.metadata.get("autoreset_mode") == gymnasium.vector.AutoresetMode.NEXT_STEP
-        self._restarting = (terminated | truncated) & next_step
+        if self._next_step:
+            self._restarting = terminated | truncated
         info["shaping"], info["_shaping"] = shaping, np.ones(self.num_envs, dtype=bool)
         return obs, rewards + shaping, terminated, truncated, info
 
