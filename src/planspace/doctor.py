@@ -22,13 +22,12 @@ EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
     "onnx": (("onnx", "onnxruntime"), "embeddings as ONNX files"),
     "video": (("imageio_ffmpeg",), "MP4 videos"),
     "track": (("tensorboard", "wandb"), "TensorBoard and Weights & Biases"),
-    "docs": (("sphinx", "myst_parser"), "building the documentation"),
+    "docs": (("sphinx", "myst_parser", "furo"), "building the documentation"),
     "fuzz": (("atheris",), "fuzzing"),
     "test": (("pytest", "hypothesis", "beartype"), "running the tests"),
     "dev": (("ruff", "pyright", "codespell_lib"), "linting and type checks"),
 }
-"""Extra to the modules it brings and what it is for. This version itself uses `ompl`, `minari`, `onnx`,
-`video`, `track`, `test` and `dev`."""
+"""Extra to the modules it brings and what it is for. This version itself uses all but `ray` and `fuzz`."""
 
 RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'

@@ -1,0 +1,59 @@
+"""What policies earn that have learned nothing, in every task: the scale on which to read a return.
+
+    python benchmarks/task_returns.py [--episodes 1000]
+
+Idle does nothing, noise is a unit Gaussian (clipped to the controls' range), random is uniform in that range.
+An episode is as long as the task's horizon, or until the task ends it.
+"""
+
+import argparse
+
+import numpy as np
+
+from planspace.envs.batch import TaskBatch
+from planspace.tasks import TASKS, RewardForm, Task
+
+POLICIES = ("idle", "noise", "random")
+
+
+def returns(task: Task, policy: str, num: int, reward: RewardForm = "dense") -> np.ndarray:
+    """The return of each of `num` episodes."""
+    rng = np.random.default_rng(0)
+    batch = TaskBatch(task, num, reward=reward)
+    batch.reset(*task.sample_starts(num, rng))
+    low, high = batch.simulator.model.actuator_ctrlrange.T
+    total, alive = np.zeros(num), np.ones(num, dtype=bool)
+    for _ in range(task.horizon):
+        actions = np.zeros((num, len(low)))
+        if policy == "noise":
+            actions = rng.standard_normal(actions.shape)
+        elif policy == "random":
+            actions = rng.uniform(low, high, actions.shape)
+        rewards, terminated, diverged = batch.step(actions)
+        total += np.where(alive, rewards, 0.0)
+        alive &= ~(terminated | diverged)
+    return total
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--episodes", type=int, default=1000)
+    arguments = parser.parse_args()
+    print(f"command: python benchmarks/task_returns.py --episodes {arguments.episodes}")
+    print("| task | " + " | ".join(POLICIES) + " |\n|" + "---|" * (len(POLICIES) + 1))
+    for task in TASKS.values():
+        for form in task.reward_forms:
+            if form == "sparse":
+                continue
+            cells = []
+            for policy in POLICIES:
+                total = returns(task, policy, arguments.episodes, form)
+                cells.append(f"{total.mean():.1f} ({total.std():.1f})")
+            name = task.env_id if form == "dense" else f"{task.env_id}, reward='2020'"
+            print(f"| `{name}` | " + " | ".join(cells) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
