@@ -19,6 +19,16 @@ def test_importing_planspace_is_light() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_using_a_wrapper_is_light(embedding_folder: Path) -> None:
+    code = "import sys, gymnasium, planspace; from planspace.envs.wrappers import *; "
+    code += "env = gymnasium.make('planspace/CartPoleSwingUp-v0'); "
+    code += f"env = PlanSpaceObservation(PlanSpaceShaping(env, {str(embedding_folder)!r}, [0.0] * 4), "
+    code += f"{str(embedding_folder)!r}); env.reset(seed=0); env.step(env.action_space.sample()); "
+    code += "print([m for m in ('jax', 'matplotlib', 'torch') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def imports(file: Path) -> set[str]:
     tree = ast.parse(file.read_text())
     found = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}

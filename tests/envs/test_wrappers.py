@@ -1,5 +1,6 @@
 import copy
 import inspect
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,28 @@ def test_the_vector_twin_stands_on_gymnasiums_own(embedding_folder: Path, embedd
     foreign = SyncVectorEnv([lambda: gymnasium.make("Pendulum-v1")] * 2)
     with pytest.raises(UsageError, match="have no `state_names`.*Give columns"):
         PlanSpaceVectorObservation(foreign, embedding_folder)
+
+
+def test_the_vector_twins_record_and_copy(embedding_folder: Path) -> None:
+    shown = PlanSpaceVectorObservation(many(), embedding_folder, mode="replace")
+    shaped = PlanSpaceVectorShaping(many(), embedding_folder, GOAL, scale=2.0)
+    for env in (shown, shaped):
+        assert set(env._saved_kwargs) == set(inspect.signature(type(env)).parameters) - {"env"}
+        json.dumps(env._saved_kwargs)
+        wanted = env.reset(seed=3)[0], env.step(np.ones((4, 1), np.float32))[1]
+        for other in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+            np.testing.assert_array_equal(other.reset(seed=3)[0], wanted[0])
+            np.testing.assert_array_equal(other.step(np.ones((4, 1), np.float32))[1], wanted[1])
+
+
+def test_a_state_that_is_not_given_is_asked_for(embedding_folder: Path) -> None:
+    class Silent(gymnasium.Wrapper[Any, Any, Any, Any]):
+        def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
+            return self.env.reset(**kwargs)[0], {}
+
+    env = PlanSpaceVectorObservation(SyncVectorEnv([lambda: Silent(swing_up())] * 2), embedding_folder)
+    with pytest.raises(UsageError, match=r'gave no info\["state"\]; have reset and step give it'):
+        env.reset()
 
 
 def test_shaping_by_hand(embedding_folder: Path, embedding: Embedding) -> None:

@@ -56,6 +56,11 @@ class _Info:
     columns: list[int]
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
+        if "state" not in info:
+            raise UsageError(
+                'the environments have `state_names`, but gave no info["state"]; have reset and step give it, or '
+                "say columns=[...] of the observation."
+            )
         return info["state"][..., self.columns]
 
 

@@ -306,7 +306,7 @@ class _Potential:
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
         encode, goal = self.embedding.encode, self.goal
         z_goal = goal if isinstance(goal, np.ndarray) else encode(goal(obs, info))
-        return np.asarray(-self.scale * norm(encode(self.source(obs, info)) - z_goal))
+        return np.asarray(-self.scale * norm(encode(self.source(obs, info)) - z_goal), dtype=float)
 
 
 def _potential(
