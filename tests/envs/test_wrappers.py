@@ -181,7 +181,7 @@ def test_a_state_that_is_not_given_is_asked_for(embedding_folder: Path) -> None:
             return self.env.reset(**kwargs)[0], {}
 
     env = PlanSpaceVectorObservation(SyncVectorEnv([lambda: Silent(swing_up())] * 2), embedding_folder)
-    with pytest.raises(UsageError, match=r'gave no info\["state"\]; have reset and step give it'):
+    with pytest.raises(UsageError, match=r'gave no info\["state"\]; give it in reset and step'):
         env.reset()
 
 

@@ -58,8 +58,8 @@ class _Info:
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
         if "state" not in info:
             raise UsageError(
-                'the environments have `state_names`, but gave no info["state"]; have reset and step give it, or '
-                "say columns=[...] of the observation."
+                'the environments have `state_names`, but gave no info["state"]; give it in reset and step, '
+                "or say columns=[...] of the observation."
             )
         return info["state"][..., self.columns]
 
