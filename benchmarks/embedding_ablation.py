@@ -24,7 +24,8 @@ from planspace.embed.config import PAPER_SPACINGS, PRESETS, FitConfig
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
-from planspace.rl.train import TrainConfig, train
+from planspace.rl.config import TrainConfig
+from planspace.rl.train import train
 from planspace.store import json_hash, make_folder, read_json, write_json
 
 RESULTS = Path(__file__).parents[1] / "results" / "embedding"

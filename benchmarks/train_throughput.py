@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from planspace.envs.batch import TaskBatch
-from planspace.rl.train import BATCH_STEPS, TrainConfig, train
+from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.train import train
 from planspace.tasks import TASKS
 
 NUM_SEEDS, ITERATIONS = 5, 20

@@ -18,6 +18,8 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 from planspace.embed.config import Metric, ObjectiveName, PresetName
 from planspace.embed.embedding import InputForm
 from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.forms import ObsForm
+from planspace.rl.config import Algo, CriticName, RLPreset, ZMode, ZTarget
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 PRESETS_OWN = "(default: the preset's)"
@@ -429,14 +431,17 @@ class Train:
     """The run's folder. The same command continues an interrupted run."""
     task: Positional[Annotated[str, arg(metavar="TASK")]] = ""
     """A task's name; without it the names are listed."""
-    algo: Literal["trpo"] = "trpo"
+    algo: Algo = "trpo"
     """The algorithm."""
-    obs: Literal["raw", "wrapped", "trig"] = "raw"
+    preset: RLPreset = "paper"
+    """paper: what the paper and the runs of 2020 did. modern: observations standardised as they come, what
+    lies beyond the time limit counted; PPO by minibatches of steps."""
+    obs: ObsForm = "raw"
     """raw: the state as it is. wrapped: angles on a circle within (-pi, pi]. trig: raw with sin and cos of
     its angles beside it."""
-    z: Literal["none", "augment", "replace"] = "none"
+    z: ZMode = "none"
     """augment: the observation and z. replace: z alone."""
-    z_to: Literal["both", "policy", "critic"] = "both"
+    z_to: ZTarget = "both"
     """Who sees z."""
     embedding: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """What makes z; needed where there is z."""
@@ -446,18 +451,28 @@ class Train:
     """Environment steps for each seed; rounded up to a multiple of 4000."""
     seed: int = 0
     """The first seed; the others follow it."""
+    critic: Annotated[CriticName | None, arg(metavar="{linear,mlp}", help_behavior_hint=PRESETS_OWN)] = None
+    """linear: ridge regression on simple features. mlp: two layers of 32 units."""
+    hidden: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
+    """Units of the policy's hidden layers: a wider policy is a control for what z adds."""
+    layer_norm: bool = False
+    """Normalise the policy's hidden layers: another control."""
 
     def __call__(self) -> None:
         """Trains and prints the returns at the end."""
         from planspace.embed.embedding import load_embedding
-        from planspace.rl.train import BATCH_STEPS, TrainConfig, train
+        from planspace.rl.config import BATCH_STEPS, TrainConfig
+        from planspace.rl.train import train
         from planspace.tasks import TASKS
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
         config = TrainConfig(
-            self.task, self.algo, self.obs, self.z, self.z_to, self.seeds, self.seed, self.steps
+            self.task, self.algo, self.obs, self.z, self.z_to, self.seeds, self.seed, self.steps, self.preset
         )
+        chosen = {"critic": self.critic, "hidden": self.hidden, "layer_norm": self.layer_norm or None}
+        if changes := {name: value for name, value in chosen.items() if value is not None}:
+            config = config.learning(**changes)
         rounded = config.iterations * BATCH_STEPS
         if rounded != self.steps:
             print(f"--steps {self.steps} rounded up to {rounded}", file=sys.stderr)

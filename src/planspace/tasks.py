@@ -6,13 +6,14 @@ applied after clipping [env, control], `target` is [env, 2] for a reacher and [e
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from planspace.errors import unknown
+from planspace.forms import OBS_FORMS, ObsForm, RewardForm
 from planspace.physics import quaternion
 from planspace.physics.angles import wrap
 from planspace.physics.simulate import ASSETS, load_model
@@ -32,15 +33,6 @@ from planspace.rewards import (
 
 DISK = 0.2
 """Radius of the disk the reacher's targets are drawn from [m]."""
-
-RewardForm = Literal["dense", "sparse", "2020"]
-"""`dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere; `2020`: the swing-up's as the code of
-2020 had it, forces without limit."""
-
-ObsForm = Literal["raw", "wrapped", "trig"]
-"""`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
-(-pi, pi]; `trig`: raw with sin and cos of its angles."""
-_OBS_FORMS: tuple[ObsForm, ...] = get_args(ObsForm)
 
 Form = TypeVar("Form", bound=str)
 
@@ -382,7 +374,7 @@ def find_obs_form(name: str) -> ObsForm:
     Raises:
         UsageError: there is none.
     """
-    return _find("form of observation", name, _OBS_FORMS)
+    return _find("form of observation", name, OBS_FORMS)
 
 
 def find_reward_form(name: str, task: Task) -> RewardForm:

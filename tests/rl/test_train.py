@@ -1,7 +1,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import jax.random as jr
 import numpy as np
 import pytest
 
@@ -10,21 +13,21 @@ from planspace.envs.batch import TaskBatch
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import critic
 from planspace.rl import train as module
+from planspace.rl.config import BATCH_STEPS, LearnerConfig, TrainConfig
+from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
-from planspace.rl.policy import Actor, GaussianPolicy
-from planspace.rl.rollout import Rollout, collect, episode_returns
-from planspace.rl.train import BATCH_STEPS, TrainConfig, train
+from planspace.rl.policy import GaussianPolicy
+from planspace.rl.rollout import Actor, Rollout, collect, episode_returns
+from planspace.rl.train import train
 from planspace.tasks import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
 
 
 def fixed_actor(num_seeds: int, num_obs: int, std: float = 1.0) -> Actor:
-    policy = GaussianPolicy.__new__(GaussianPolicy)
-    object.__setattr__(policy, "weights", [jnp.zeros((num_seeds, 1, num_obs))])
-    object.__setattr__(policy, "biases", [jnp.zeros((num_seeds, 1))])
-    object.__setattr__(policy, "log_std", jnp.full((num_seeds, 1), np.log(std)))
-    return Actor(policy)
+    zero = jax.tree.map(jnp.zeros_like, GaussianPolicy(num_obs, 1, key=jr.key(0)))
+    zero = eqx.tree_at(lambda p: p.log_std, zero, jnp.full(1, np.log(std)))
+    return Actor(jax.tree.map(lambda x: jnp.stack([x] * num_seeds), zero), slice(None))
 
 
 def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout:
@@ -136,7 +139,9 @@ def test_the_bootstrap_is_the_critics_value_where_the_record_is_cut() -> None:
     rollout = roll(task, 4, [0, 1], 20)
     observer = Observer(task, "raw", "none", "both", None)
     weights = np.random.default_rng(0).normal(size=(2, 12))
-    value, next_value, _ = module._values(rollout, observer, weights)
+    obs, linear = module._per_seed(rollout.obs), critic.LinearCritic(weights)
+    statistics, learner = ObsStatistics.empty(2, 4), LearnerConfig()
+    value, next_value = module._values(rollout, observer, linear, obs, statistics, learner)
     for t, s, e in zip(*np.nonzero(rollout.cut), strict=True):
         x = critic.features(rollout.next_obs[t, s, e], np.array(rollout.step[t, s, e] + 1))
         assert next_value[t, s, e] == pytest.approx(x @ weights[s])

@@ -9,8 +9,10 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from planspace.embed.gaussian import kl
-from planspace.rl.policy import Actor, GaussianPolicy
-from planspace.rl.trpo import TRPOConfig, conjugate_gradient, fisher_product, update
+from planspace.rl.config import TRPOConfig
+from planspace.rl.policy import GaussianPolicy
+from planspace.rl.rollout import Actor
+from planspace.rl.trpo import conjugate_gradient, fisher_product, update
 
 CONFIG = TRPOConfig()
 
@@ -65,12 +67,12 @@ def test_a_failed_search_leaves_the_parameters_as_they_were(policy: GaussianPoli
     new, info = update(policy, *batch, impossible)
     assert info.skipped
     assert eqx.tree_equal(new, policy)
-    assert float(info.kl) == 0.0 and int(info.backtracks) == CONFIG.max_backtracks - 1
+    assert float(info.kl) == 0.0 and int(info.rounds) == CONFIG.max_backtracks - 1
 
 
 def test_curvature_that_is_not_positive_skips_the_update(policy: GaussianPolicy, batch: tuple) -> None:
     new, info = update(policy, *batch, replace(CONFIG, cg_damping=-100.0))
-    assert info.skipped and int(info.backtracks) == 0
+    assert info.skipped and int(info.rounds) == 0
     assert eqx.tree_equal(new, policy)
 
 
@@ -104,6 +106,6 @@ def test_the_actor_is_the_policy(rng: np.random.Generator) -> None:
     policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(2)]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *policies)
     obs = rng.normal(size=(2, 5, 3)).astype(np.float32)
-    means = Actor(stacked).mean(obs)
+    means = Actor(stacked, slice(None)).mean(obs)
     for s, policy in enumerate(policies):
         np.testing.assert_allclose(means[s], jax.vmap(lambda o, p=policy: p(o).mu)(obs[s]), atol=1e-5)

@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from planspace.forms import RewardForm
 from planspace.physics.simulate import Simulator
-from planspace.tasks import RewardForm, Task
+from planspace.tasks import Task
 
 
 class TaskBatch:

@@ -10,7 +10,8 @@ from gymnasium.spaces import Box
 from planspace.envs.batch import TaskBatch
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
-from planspace.tasks import ObsForm, Task, find_obs_form, find_reward_form, find_task
+from planspace.forms import ObsForm
+from planspace.tasks import Task, find_obs_form, find_reward_form, find_task
 
 
 class Described:

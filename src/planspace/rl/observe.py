@@ -2,17 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
-from planspace.tasks import ObsForm, Task
-
-ZMode = Literal["none", "augment", "replace"]
-ZTarget = Literal["both", "policy", "critic"]
+from planspace.forms import ObsForm
+from planspace.rl.config import ZMode, ZTarget
+from planspace.tasks import Task
 
 
 @dataclass(frozen=True)

@@ -3,54 +3,63 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
-import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
+from planspace.rl.mlp import MLP
 
 HIDDEN = (32, 32)
 """Paper, RL performance: two fully connected layers of 32 units."""
 
 
 class GaussianPolicy(eqx.Module):
-    """pi(a|o) = N(mean(o), exp(log_std)^2); Glorot-uniform weights, zero biases, log_std 0 at first."""
+    """pi(a|o) = N(mean(o), exp(log_std)^2); log_std 0 at first."""
 
-    weights: list[Float[Array, "out in"]]
-    biases: list[Float[Array, " out"]]
+    mean: MLP
     log_std: Float[Array, " action"]
 
-    def __init__(self, num_obs: int, num_actions: int, *, key: Key[Array, ""]):
+    def __init__(
+        self,
+        num_obs: int,
+        num_actions: int,
+        *,
+        hidden: tuple[int, ...] = HIDDEN,
+        layer_norm: bool = False,
+        key: Key[Array, ""],
+    ):
         """Draws fresh weights."""
-        sizes = (num_obs, *HIDDEN, num_actions)
-        keys = jr.split(key, len(sizes) - 1)
-        init = jax.nn.initializers.glorot_uniform(in_axis=1, out_axis=0)
-        self.weights = [init(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)]
-        self.biases = [jnp.zeros(b) for b in sizes[1:]]
+        self.mean = MLP((num_obs, *hidden, num_actions), layer_norm=layer_norm, key=key)
         self.log_std = jnp.zeros(num_actions)
 
     def __call__(self, obs: Float[Array, " obs"]) -> DiagonalGaussian:
         """The distribution of actions for one observation."""
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            obs = jnp.tanh(weight @ obs + bias)
-        return DiagonalGaussian(self.weights[-1] @ obs + self.biases[-1], jnp.exp(self.log_std))
+        return DiagonalGaussian(self.mean(obs), jnp.exp(self.log_std))
+
+    def log_prob(
+        self, obs: Float[Array, "*batch obs"], actions: Float[Array, "*batch action"]
+    ) -> Float[Array, "*batch"]:
+        """Log-density of actions [nat]."""
+        rows = obs.reshape(-1, obs.shape[-1]), actions.reshape(-1, actions.shape[-1])
+        return jax.vmap(lambda o, a: self(o).log_prob(a))(*rows).reshape(actions.shape[:-1])
 
     def entropy(self) -> Float[Array, ""]:
         """Entropy of the action distribution, the same everywhere [nat]."""
         return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
 
 
-class Actor:
-    """The means of a stack of policies in NumPy: called once a step, where a JAX call costs more than it."""
+class UpdateInfo(eqx.Module):
+    """What an update did to a policy."""
 
-    def __init__(self, policies: GaussianPolicy):
-        """Copies the weights of policies with a leading axis of seeds."""
-        self._weights = [np.asarray(w).transpose(0, 2, 1) for w in policies.weights]
-        self._biases = [np.asarray(b)[:, None, :] for b in policies.biases]
-        self.std = np.exp(np.asarray(policies.log_std))[:, None, :]
-
-    def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:
-        """The mean action of each policy in each of its environments."""
-        for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
-            obs = np.tanh(obs @ weight + bias)
-        return obs @ self._weights[-1] + self._biases[-1]
+    kl: Float[Array, "*seed"]
+    """Mean KL from the old policy to the new [nat]."""
+    loss: Float[Array, "*seed"]
+    """Minus the surrogate the algorithm maximises, after the update."""
+    improvement: Float[Array, "*seed"]
+    """Gain of the surrogate."""
+    entropy: Float[Array, "*seed"]
+    """Entropy of the new policy [nat]."""
+    rounds: Int[Array, "*seed"]
+    """Steps that TRPO's line search rejected; epochs of PPO."""
+    skipped: Bool[Array, "*seed"]
+    """Whether the parameters stayed as they were: no step was accepted, the curvature was not positive, or
+    a number was not finite."""

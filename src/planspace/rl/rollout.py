@@ -6,8 +6,31 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.envs.batch import TaskBatch
+from planspace.rl.mlp import Stack
+from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
-from planspace.rl.policy import Actor
+from planspace.rl.policy import GaussianPolicy
+
+
+class Actor:
+    """Policies with a leading axis of seeds, as they act."""
+
+    def __init__(self, policies: GaussianPolicy, columns: slice, statistics: ObsStatistics | None = None):
+        """Copies the weights.
+
+        Args:
+            policies: the policies.
+            columns: what they read of an observation.
+            statistics: standardises observations, where that is wanted.
+        """
+        self._mean, self._columns, self._statistics = Stack(policies.mean), columns, statistics
+        self.std = np.exp(np.asarray(policies.log_std))[:, None, :]
+
+    def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:
+        """The mean action of each policy in each of its environments."""
+        if self._statistics is not None:
+            obs = self._statistics(obs)
+        return self._mean(obs[..., self._columns])
 
 
 @dataclass(frozen=True)
@@ -64,7 +87,7 @@ def collect(
     )
     since_start = np.zeros(shape[1:], int)
     for t in range(num_steps):
-        actions = actor.mean(obs[..., observer.policy_columns]) + actor.std * noise[t]
+        actions = actor.mean(obs) + actor.std * noise[t]
         rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
         record.rewards[t], record.terminated[t] = rewards.reshape(shape[1:]), terminated.reshape(shape[1:])

@@ -1,9 +1,9 @@
 """Training: one arm (task, algorithm, observation), all its seeds in one program."""
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,69 +11,40 @@ import jax.numpy as jnp
 import jax.random as jr
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float, Key
+import optax
+from jaxtyping import Array, Bool, Float, Key, Shaped
 
 import planspace
 from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
-from planspace.errors import UsageError
 from planspace.progress import progress
-from planspace.rl import critic
+from planspace.rl import ppo, trpo
 from planspace.rl.advantage import discounted_returns, gae
-from planspace.rl.observe import Observer, ZMode, ZTarget
-from planspace.rl.policy import Actor, GaussianPolicy
-from planspace.rl.rollout import Rollout, collect, episode_returns
-from planspace.rl.trpo import TRPOConfig, UpdateInfo, update
+from planspace.rl.config import BATCH_STEPS, LearnerConfig, PPOConfig, TrainConfig, TRPOConfig
+from planspace.rl.critic import Critic, make_critic
+from planspace.rl.normalise import ObsStatistics
+from planspace.rl.observe import Observer
+from planspace.rl.policy import GaussianPolicy, UpdateInfo
+from planspace.rl.rollout import Actor, Rollout, collect, episode_returns
 from planspace.store import Arrays, append_row, open_run, read_arrays, write_arrays
-from planspace.tasks import ObsForm, find_task
+from planspace.tasks import find_task
 
-BATCH_STEPS = 4000
-"""Steps an iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
 CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
 HISTORY = "history.safetensors"
 
-HISTORY_KEYS = ("return", "length", "kl", "entropy", "improvement", "explained_variance", "skipped")
+HISTORY_KEYS = (
+    "return",
+    "length",
+    "kl",
+    "entropy",
+    "loss",
+    "improvement",
+    "explained_variance",
+    "skipped",
+)
 """What is recorded for each iteration and seed; see `UpdateInfo` and `episode_returns`."""
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """One arm."""
-
-    task: str
-    """The task's name."""
-    algo: Literal["trpo"] = "trpo"
-    """The algorithm."""
-    obs: ObsForm = "raw"
-    """`raw`, or `trig`: raw with sin and cos of its angles."""
-    z: ZMode = "none"
-    """`none`, `augment`: the observation with z appended, `replace`: z alone."""
-    z_to: ZTarget = "both"
-    """Who sees z."""
-    num_seeds: int = 5
-    """How many seeds."""
-    seed: int = 0
-    """The first of them."""
-    steps: int = 960_000
-    """Environment steps a seed; rounded up to whole iterations."""
-    trpo: TRPOConfig = field(default_factory=TRPOConfig)
-    """The algorithm's settings."""
-
-    def __post_init__(self) -> None:
-        """Checks the sizes.
-
-        Raises:
-            UsageError: fewer than one seed or step.
-        """
-        if self.num_seeds < 1 or self.steps < 1:
-            raise UsageError(f"seeds and steps must be at least 1, got {self.num_seeds} and {self.steps}.")
-
-    @property
-    def iterations(self) -> int:
-        """Iterations of `BATCH_STEPS` that make at least `steps`."""
-        return -(-self.steps // BATCH_STEPS)
 
 
 class _State(eqx.Module):
@@ -84,7 +55,10 @@ class _State(eqx.Module):
     """
 
     policies: GaussianPolicy
-    critic_weights: Float[Any, "seed feature"]
+    adam: optax.OptState | None
+    """Of PPO's policies; nothing for TRPO."""
+    critic: Critic
+    statistics: ObsStatistics
     history: dict[str, Any]
     """Each of `HISTORY_KEYS` as [iterations, seed], filled up to the current one."""
 
@@ -110,6 +84,7 @@ def train(config: TrainConfig, out: Path, embedding: Embedding | None = None) ->
     observer = Observer(task, config.obs, config.z, config.z_to, embedding)
     settings = {
         **asdict(config),
+        "learner": asdict(config.learns),
         "embedding": None if embedding is None or config.z == "none" else embedding.hash,
         "versions": {
             "planspace": planspace.__version__,
@@ -163,89 +138,159 @@ def _run(
 def _iterate(
     config: TrainConfig, observer: Observer, batch: TaskBatch, state: _State, iteration: int
 ) -> _State:
+    learner, statistics = config.learns, state.statistics
     seeds = range(config.seed, config.seed + config.num_seeds)
     rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in seeds]
     num_steps = BATCH_STEPS * config.num_seeds // len(batch.states)
-    rollout = collect(batch, observer, Actor(state.policies), num_steps, rngs)
-    value, next_value, x = _values(rollout, observer, np.asarray(state.critic_weights))
+    actor = Actor(state.policies, observer.policy_columns, statistics if learner.normalise_obs else None)
+    rollout = collect(batch, observer, actor, num_steps, rngs)
+    obs = statistics(_per_seed(rollout.obs)) if learner.normalise_obs else _per_seed(rollout.obs)
+    value, next_value = _values(rollout, observer, state.critic, obs, statistics, learner)
     truncated = rollout.timeout | rollout.cut
-    # no bootstrap at the time limit, as in the 2020 runs; a record cut mid-episode is bootstrapped
-    next_value = np.where(rollout.timeout, 0.0, next_value)
-    discount = config.trpo.discount
-    advantages = _per_seed(
-        gae(
-            rollout.rewards,
-            value,
-            next_value,
-            rollout.terminated,
-            truncated,
-            discount=discount,
-            trace=config.trpo.gae_lambda,
+    ends = (rollout.terminated, truncated)
+    entropy = np.asarray(eqx.filter_vmap(lambda p: p.entropy())(state.policies))
+    rewards = rollout.rewards + learner.entropy_reward * entropy[None, :, None]
+    advantages = gae(rewards, value, next_value, *ends, discount=learner.discount, trace=learner.gae_lambda)
+    if learner.normalise_advantages:
+        mean, deviation = (
+            advantages.mean(axis=(0, 2), keepdims=True),
+            advantages.std(axis=(0, 2), keepdims=True),
         )
-    )
-    mean, deviation = advantages.mean(axis=1, keepdims=True), advantages.std(axis=1, keepdims=True)
-    advantages = (advantages - mean) / (deviation + 1e-8)
-    policies, info = _update(
-        state.policies,
-        jnp.asarray(_per_seed(rollout.obs[..., observer.policy_columns])),
-        jnp.asarray(_per_seed(rollout.actions)),
-        jnp.asarray(advantages, dtype=jnp.float32),
-        config.trpo,
-    )
-    returns = _per_seed(
-        discounted_returns(rollout.rewards, next_value, rollout.terminated, truncated, discount=discount)
-    )
+        advantages = (advantages - mean) / (deviation + 1e-8)
+    keys = _keys(config, 1 + iteration)
+    policies, adam, info = _learn(config, state, rollout, obs[..., observer.policy_columns], advantages, keys)
+    returns = _per_seed(discounted_returns(rollout.rewards, next_value, *ends, discount=learner.discount))
+    critic = state.critic.fitted(obs[..., observer.critic_columns], _per_seed(rollout.step), returns, keys)
+    if learner.normalise_obs:
+        statistics = statistics.with_more(_per_seed(rollout.obs))
     history = _record(state.history, iteration, rollout, info, returns, _per_seed(value))
-    return _State(policies, critic.fit(_per_seed(x), returns), history)
+    return _State(policies, adam, critic, statistics, history)
 
 
 def _values(
-    rollout: Rollout, observer: Observer, weights: Float[np.ndarray, "seed feature"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The critic's value before and after each step [time, seed, env], and its features before it."""
-    x = critic.features(rollout.obs[..., observer.critic_columns], rollout.step)
-    value = _predict(x, weights)
+    rollout: Rollout,
+    observer: Observer,
+    critic: Critic,
+    obs: Float[np.ndarray, "seed sample obs"],
+    statistics: ObsStatistics,
+    learner: LearnerConfig,
+) -> tuple[Float[np.ndarray, "time seed env"], Float[np.ndarray, "time seed env"]]:
+    """The critic's value before and after each step; after a step that ends an episode for good, 0.
+
+    The next state is mostly the next row's. Where the record was cut it is not, nor at the time limit, beyond
+    which the 2020 runs took nothing to lie.
+    """
+    num_steps, num_seeds, _ = rollout.rewards.shape
+    columns = observer.critic_columns
+    value = np.moveaxis(
+        critic.values(obs[..., columns], _per_seed(rollout.step)).reshape(num_seeds, num_steps, -1), 0, 1
+    )
     next_value = np.zeros_like(value)
     next_value[:-1] = value[1:]
-    cut = rollout.cut  # elsewhere the next state is the next row's, or its value is not used
-    if cut.any():
-        after = critic.features(rollout.next_obs[cut][:, observer.critic_columns], rollout.step[cut] + 1)
-        seed_of = np.broadcast_to(np.arange(cut.shape[1])[None, :, None], cut.shape)[cut]
-        next_value[cut] = np.einsum("nf,nf->n", after, weights[seed_of])
-    return value, next_value, x
+    next_value[rollout.timeout | rollout.terminated] = 0.0
+    asked = _per_seed(rollout.cut | (rollout.timeout & learner.bootstrap_timeout))
+    if asked.any():
+        rows = _padded_rows(asked)
+        after = np.take_along_axis(_per_seed(rollout.next_obs), rows[..., None], axis=1)
+        after = statistics(after) if learner.normalise_obs else after
+        step = np.take_along_axis(_per_seed(rollout.step), rows, axis=1) + 1
+        flat = np.moveaxis(next_value, 1, 0).reshape(num_seeds, -1)  # a copy
+        for s, values in enumerate(critic.values(after[..., columns], step)):
+            flat[s, rows[s]] = np.where(asked[s, rows[s]], values, flat[s, rows[s]])
+        next_value = np.moveaxis(flat.reshape(num_seeds, num_steps, -1), 0, 1)
+    return value, next_value
 
 
-def _predict(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    return np.einsum("tsef,sf->tse", x, weights, optimize=True)
+def _padded_rows(mask: Bool[np.ndarray, "seed sample"]) -> np.ndarray:
+    """Where each seed's row is true, as many numbers for all: those with fewer repeat one of theirs, or 0."""
+    rows = [np.flatnonzero(row) for row in mask]
+    most = max(map(len, rows))
+    return np.stack([np.pad(r, (0, most - len(r)), mode="edge" if len(r) else "constant") for r in rows])
+
+
+def _learn(
+    config: TrainConfig,
+    state: _State,
+    rollout: Rollout,
+    obs: Float[np.ndarray, "seed sample obs"],
+    advantages: Float[np.ndarray, "time seed env"],
+    keys: Key[Array, " seed"],
+) -> tuple[GaussianPolicy, optax.OptState | None, UpdateInfo]:
+    """The algorithm's update of all policies."""
+    learner = config.learns
+    if config.algo == "trpo":
+        scaled = jnp.asarray(_per_seed(advantages), dtype=jnp.float32)
+        actions = jnp.asarray(_per_seed(rollout.actions))
+        policies, info = _update_trpo(state.policies, jnp.asarray(obs), actions, scaled, learner.trpo)
+        return policies, state.adam, info
+    actions, weights = rollout.actions, advantages.astype(np.float32)
+    if learner.ppo.of_steps:
+        parts = obs, _per_seed(actions), _per_seed(weights)
+    else:
+        num_seeds, num_steps = obs.shape[0], len(rollout.rewards)
+        by_time = obs.reshape(num_seeds, num_steps, -1, obs.shape[-1])
+        trajectories = np.ascontiguousarray(by_time.transpose(0, 2, 1, 3))
+        parts = trajectories, np.moveaxis(actions, 0, 2), np.moveaxis(weights, 0, 2)
+    sampled, taken, worth = map(jnp.asarray, parts)
+    return _update_ppo(state.policies, state.adam, sampled, taken, worth, keys, learner.ppo)
 
 
 @eqx.filter_jit
-def _update(
+def _update_trpo(
     policies: GaussianPolicy,
     obs: Float[Array, "seed sample obs"],
     actions: Float[Array, "seed sample action"],
     advantages: Float[Array, "seed sample"],
     config: TRPOConfig,
 ) -> tuple[GaussianPolicy, UpdateInfo]:
-    return eqx.filter_vmap(lambda p, o, a, adv: update(p, o, a, adv, config))(
+    return eqx.filter_vmap(lambda p, o, a, adv: trpo.update(p, o, a, adv, config))(
         policies, obs, actions, advantages
     )
 
 
+@eqx.filter_jit
+def _update_ppo(
+    policies: GaussianPolicy,
+    adam: optax.OptState | None,
+    obs: Float[Array, "seed sample *time obs"],
+    actions: Float[Array, "seed sample *time action"],
+    advantages: Float[Array, "seed sample *time"],
+    keys: Key[Array, " seed"],
+    config: PPOConfig,
+) -> tuple[GaussianPolicy, optax.OptState, UpdateInfo]:
+    def one(policy: GaussianPolicy, adam: optax.OptState, o: Array, a: Array, adv: Array, key: Any):
+        log_prob = policy.log_prob(o, a)
+        return ppo.update(policy, adam, ppo.Batch(o, a, adv, log_prob), config, key=key)
+
+    return eqx.filter_vmap(one)(policies, adam, obs, actions, advantages, keys)
+
+
+def _keys(config: TrainConfig, use: int) -> Key[Array, " seed"]:
+    """A key for each seed: 0 to draw its networks, 1 + i for iteration i."""
+    keys = [jr.key(seed) for seed in range(config.seed, config.seed + config.num_seeds)]
+    return jnp.stack([jr.fold_in(key, use) if use else key for key in keys])
+
+
 def _init(config: TrainConfig, observer: Observer, batch: TaskBatch) -> _State:
+    learner = config.learns
     obs = observer(batch.states[:1], batch.targets[:1])
-    num_policy = obs[:, observer.policy_columns].shape[1]
-    num_features = critic.features(obs[:, observer.critic_columns], np.zeros(1, int)).shape[1]
+    num_policy, num_critic = (obs[:, c].shape[1] for c in (observer.policy_columns, observer.critic_columns))
     num_actions = len(batch.simulator.control_low)
-    keys = jnp.stack([jr.key(s) for s in range(config.seed, config.seed + config.num_seeds)])
+    keys = _keys(config, 0)
 
     def init_one(key: Key[Array, ""]) -> GaussianPolicy:
-        return GaussianPolicy(num_policy, num_actions, key=key)
+        return GaussianPolicy(
+            num_policy, num_actions, hidden=learner.hidden, layer_norm=learner.layer_norm, key=key
+        )
 
+    policies = eqx.filter_vmap(init_one)(keys)
+    adam = eqx.filter_vmap(ppo.optimiser(learner.ppo).init)(policies) if config.algo == "ppo" else None
     shape = (config.iterations, config.num_seeds)
     return _State(
-        policies=eqx.filter_vmap(init_one)(keys),
-        critic_weights=np.zeros((config.num_seeds, num_features)),
+        policies=policies,
+        adam=adam,
+        critic=make_critic(learner.critic, num_critic, jax.vmap(lambda k: jr.fold_in(k, 0))(keys)),
+        statistics=ObsStatistics.empty(config.num_seeds, obs.shape[1]),
         history={key: np.full(shape, np.nan) for key in HISTORY_KEYS},
     )
 
@@ -265,6 +310,7 @@ def _record(
         "length": length,
         "kl": info.kl,
         "entropy": info.entropy,
+        "loss": info.loss,
         "improvement": info.improvement,
         "explained_variance": 1.0 - unexplained,
         "skipped": info.skipped,
@@ -281,7 +327,7 @@ def _log(out: Path, state: _State, first: int, last: int) -> None:
         append_row(out / "log.jsonl", {"iteration": i + 1, "time": time.time(), **row})
 
 
-def _per_seed(x: Float[np.ndarray, "time seed env *rest"]) -> Float[np.ndarray, "seed sample *rest"]:
+def _per_seed(x: Shaped[np.ndarray, "time seed env *rest"]) -> Shaped[np.ndarray, "seed sample *rest"]:
     """Brings the seed to the front and lays time and environments end to end."""
     moved = np.moveaxis(x, 1, 0)
     return moved.reshape(moved.shape[0], -1, *moved.shape[3:])

@@ -5,52 +5,15 @@ direction. A step is sqrt(2 max_kl / s F s) s, shortened until the surrogate imp
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from planspace.embed.gaussian import kl
-from planspace.rl.policy import GaussianPolicy
-
-
-@dataclass(frozen=True)
-class TRPOConfig:
-    """Settings of TRPO; the defaults are the 2020 runs'."""
-
-    discount: float = 0.99
-    """gamma."""
-    gae_lambda: float = 0.98
-    """lambda of the advantage estimate."""
-    max_kl: float = 0.01
-    """Bound on the mean KL of an update [nat]."""
-    cg_steps: int = 10
-    """Conjugate gradient steps."""
-    cg_damping: float = 1e-5
-    """Added to the diagonal of the Fisher matrix."""
-    backtrack_ratio: float = 0.8
-    """Each rejected step is followed by one shorter by this factor."""
-    max_backtracks: int = 15
-    """Rejected steps before the update is given up and the parameters stay as they were."""
-
-
-class UpdateInfo(eqx.Module):
-    """What an update did."""
-
-    kl: Float[Array, "*seed"]
-    """Mean KL from the old policy to the new [nat]."""
-    improvement: Float[Array, "*seed"]
-    """Gain of the surrogate."""
-    entropy: Float[Array, "*seed"]
-    """Entropy of the new policy [nat]."""
-    backtracks: Int[Array, "*seed"]
-    """Steps that were rejected."""
-    skipped: Bool[Array, "*seed"]
-    """Whether the parameters stayed as they were: no step was accepted, the curvature was not positive, or
-    a number was not finite."""
+from planspace.rl.config import TRPOConfig
+from planspace.rl.policy import GaussianPolicy, UpdateInfo
 
 
 def update(
@@ -100,9 +63,10 @@ def update(
     chosen = rebuild(jnp.where(accepted, candidate, theta))
     info = UpdateInfo(
         kl=jnp.where(accepted, mean_kl, 0.0),
+        loss=-(before + jnp.where(accepted, improvement, 0.0)),
         improvement=jnp.where(accepted, improvement, 0.0),
         entropy=chosen.entropy(),
-        backtracks=k,
+        rounds=k,
         skipped=~accepted,
     )
     return chosen, info
@@ -121,7 +85,7 @@ def fisher_product(
 
     def outputs(theta: Array) -> tuple[Array, Array]:
         policy = rebuild(theta)
-        return jax.vmap(lambda o: policy(o).mu)(obs), policy.log_std
+        return jax.vmap(lambda o: policy.mean(o))(obs), policy.log_std
 
     (_, log_std), push = jax.linearize(outputs, theta)
     pull = jax.linear_transpose(push, theta)

@@ -16,7 +16,8 @@ from planspace.errors import PlanspaceError, unknown
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
-from planspace.rl.train import TrainConfig, train
+from planspace.rl.config import TrainConfig
+from planspace.rl.train import train
 from planspace.store import CONFIG, Arrays, open_run, read_json, write_json
 from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task

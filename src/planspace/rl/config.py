@@ -1,0 +1,147 @@
+"""What is trained and how: arms, algorithms, presets. Imports no JAX, so that `--help` answers at once."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from planspace.errors import UsageError
+from planspace.forms import ObsForm
+
+BATCH_STEPS = 4000
+"""Steps an iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
+
+Algo = Literal["trpo", "ppo"]
+RLPreset = Literal["paper", "modern"]
+CriticName = Literal["linear", "mlp"]
+ZMode = Literal["none", "augment", "replace"]
+ZTarget = Literal["both", "policy", "critic"]
+
+
+@dataclass(frozen=True)
+class TRPOConfig:
+    """Settings of TRPO; the defaults are the 2020 runs'."""
+
+    max_kl: float = 0.01
+    """Bound on the mean KL of an update [nat]."""
+    cg_steps: int = 10
+    """Conjugate gradient steps."""
+    cg_damping: float = 1e-5
+    """Added to the diagonal of the Fisher matrix."""
+    backtrack_ratio: float = 0.8
+    """Each rejected step is followed by one shorter by this factor."""
+    max_backtracks: int = 15
+    """Rejected steps before the update is given up and the parameters stay as they were."""
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Settings of PPO; the defaults are the 2020 runs'."""
+
+    clip: float = 0.2
+    """How far the probability ratio counts from 1."""
+    learning_rate: float = 1e-3
+    """Adam's."""
+    epochs: int = 10
+    """Passes over an iteration's samples."""
+    minibatch: int = 32
+    """Trajectories a minibatch, or, with `of_steps`, steps."""
+    of_steps: bool = False
+    """Whether minibatches are of steps drawn from all episodes, and not of whole trajectories."""
+    tolerance: float = 1e-6
+    """An epoch that moves the loss by less is the last; 0 never stops early."""
+    clip_norm: float | None = None
+    """Gradients are clipped to this norm."""
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """How an algorithm learns; presets are in `PRESETS`."""
+
+    discount: float = 0.99
+    """gamma."""
+    gae_lambda: float = 0.98
+    """lambda of the advantage estimate."""
+    critic: CriticName = "linear"
+    """`linear` features and ridge regression, or an `mlp` of 2 x 32 tanh units."""
+    hidden: tuple[int, ...] = (32, 32)
+    """Units of the policy's hidden layers (paper, RL performance)."""
+    layer_norm: bool = False
+    """Whether the policy's hidden layers are normalised."""
+    normalise_obs: bool = False
+    """Whether each seed standardises observations by what it has seen so far."""
+    normalise_advantages: bool = True
+    """Whether advantages are brought to mean 0 and deviation 1 in each iteration."""
+    bootstrap_timeout: bool = False
+    """Whether what lies beyond the time limit counts; the 2020 runs took it as nothing."""
+    entropy_reward: float = 0.0
+    """Added to each reward for a nat of the policy's entropy, without a gradient."""
+    trpo: TRPOConfig = field(default_factory=TRPOConfig)
+    """Settings of the update, if the algorithm is TRPO."""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """Settings of the update, if it is PPO."""
+
+
+PRESETS: dict[tuple[Algo, RLPreset], LearnerConfig] = {
+    ("trpo", "paper"): LearnerConfig(),
+    ("ppo", "paper"): LearnerConfig(
+        gae_lambda=0.95, critic="mlp", normalise_advantages=False, entropy_reward=0.02
+    ),
+    ("trpo", "modern"): LearnerConfig(normalise_obs=True, bootstrap_timeout=True),
+    ("ppo", "modern"): LearnerConfig(
+        gae_lambda=0.95,
+        critic="mlp",
+        normalise_obs=True,
+        bootstrap_timeout=True,
+        ppo=PPOConfig(minibatch=500, of_steps=True, tolerance=0.0, clip_norm=0.5),
+    ),
+}
+"""`paper`: the paper, and where it is silent the garage release the 2020 runs used. `modern`: what measured
+best. The two are never mixed in one table."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One arm."""
+
+    task: str
+    """The task's name."""
+    algo: Algo = "trpo"
+    """The algorithm."""
+    obs: ObsForm = "raw"
+    """`raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with sin and cos of its angles."""
+    z: ZMode = "none"
+    """`none`, `augment`: the observation with z appended, `replace`: z alone."""
+    z_to: ZTarget = "both"
+    """Who sees z."""
+    num_seeds: int = 5
+    """How many seeds."""
+    seed: int = 0
+    """The first of them."""
+    steps: int = 960_000
+    """Environment steps a seed; rounded up to whole iterations."""
+    preset: RLPreset = "paper"
+    """Where `learner` comes from."""
+    learner: LearnerConfig | None = None
+    """How it learns, where that is not the preset's."""
+
+    def __post_init__(self) -> None:
+        """Checks the sizes.
+
+        Raises:
+            UsageError: fewer than one seed or step.
+        """
+        if self.num_seeds < 1 or self.steps < 1:
+            raise UsageError(f"seeds and steps must be at least 1, got {self.num_seeds} and {self.steps}.")
+
+    @property
+    def learns(self) -> LearnerConfig:
+        """How it learns."""
+        return self.learner or PRESETS[self.algo, self.preset]
+
+    def learning(self, **changes: Any) -> "TrainConfig":
+        """A copy that learns otherwise, in the fields of `LearnerConfig` named."""
+        return replace(self, learner=replace(self.learns, **changes))
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of `BATCH_STEPS` that make at least `steps`."""
+        return -(-self.steps // BATCH_STEPS)

@@ -1,0 +1,47 @@
+"""Observations standardised by what each seed has seen so far."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+BOUND = 10.0
+"""Standardised observations are clipped to this."""
+LEAST_VARIANCE = 1e-8
+
+
+class ObsStatistics(eqx.Module):
+    """Count, mean and sum of squared deviations of each number of an observation, for each seed."""
+
+    count: Float[np.ndarray, " seed"]
+    mean: Float[np.ndarray, "seed obs"]
+    squares: Float[np.ndarray, "seed obs"]
+
+    @classmethod
+    def empty(cls, num_seeds: int, num_obs: int) -> "ObsStatistics":
+        """Of nothing yet, which changes no observation."""
+        return cls(np.zeros(num_seeds), np.zeros((num_seeds, num_obs)), np.zeros((num_seeds, num_obs)))
+
+    def with_more(self, obs: Float[np.ndarray, "seed sample obs"]) -> "ObsStatistics":
+        """Of these observations as well.
+
+        Source: Chan, Golub and LeVeque 1979, the parallel form of the sums.
+        """
+        num, obs = obs.shape[1], obs.astype(np.float64)
+        mean = obs.mean(axis=1)
+        squares = np.sum((obs - mean[:, None]) ** 2, axis=1)
+        total = self.count + num
+        shift = mean - self.mean
+        share = (num / total)[:, None]
+        return ObsStatistics(
+            total,
+            self.mean + shift * share,
+            self.squares + squares + shift**2 * self.count[:, None] * share,
+        )
+
+    def __call__(self, obs: Float[np.ndarray, "seed sample obs"]) -> Float[np.ndarray, "seed sample obs"]:
+        """The observations, standardised."""
+        if not self.count.any():
+            return obs
+        deviation = np.sqrt(self.squares / self.count[:, None] + LEAST_VARIANCE)
+        shifted = (obs - self.mean[:, None]) / deviation[:, None]
+        return np.clip(shifted, -BOUND, BOUND).astype(obs.dtype)

@@ -1,0 +1,109 @@
+"""Proximal policy optimisation with a clipped ratio (Schulman et al. 2017), one update of one policy.
+
+A sample is what a minibatch is made of: a step, or a whole trajectory of steps, which are then an axis of
+their own after the first. The loss is a mean over steps either way.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import optax
+from jaxtyping import Array, Float, Int, Key
+
+from planspace.embed.gaussian import kl
+from planspace.rl.config import PPOConfig
+from planspace.rl.policy import GaussianPolicy, UpdateInfo
+
+
+class Batch(eqx.Module):
+    """The samples of one iteration."""
+
+    obs: Float[Array, "sample *time obs"]
+    actions: Float[Array, "sample *time action"]
+    advantages: Float[Array, "sample *time"]
+    log_prob: Float[Array, "sample *time"]
+    """Of the actions, under the policy that took them."""
+
+
+def optimiser(config: PPOConfig) -> optax.GradientTransformation:
+    """Adam, behind a bound on the gradient's norm if there is one."""
+    adam = optax.adam(config.learning_rate)
+    return (
+        adam if config.clip_norm is None else optax.chain(optax.clip_by_global_norm(config.clip_norm), adam)
+    )
+
+
+def update(
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig, *, key: Key[Array, ""]
+) -> tuple[GaussianPolicy, optax.OptState, UpdateInfo]:
+    """Several epochs of minibatches over the samples of one iteration.
+
+    Where a number comes out that is not finite, policy and optimiser stay as they were.
+    """
+    before = loss(policy, batch, config.clip)
+
+    def one_epoch(carry: tuple, epoch_key: Key[Array, ""]) -> tuple[tuple, None]:
+        (old_policy, old_adam), last, epochs, done = carry
+        new = _epoch(old_policy, old_adam, batch, config, key=epoch_key)
+        now = loss(new[0], batch, config.clip) if config.tolerance else last
+        kept = jax.tree.map(lambda a, b: jnp.where(done, a, b), (old_policy, old_adam), new)
+        epochs += ~done
+        done |= (config.tolerance > 0) & (jnp.abs(last - now) < config.tolerance)
+        return (kept, jnp.where(done, last, now), epochs, done), None
+
+    first = ((policy, adam), jnp.where(config.tolerance > 0, jnp.inf, before), jnp.array(0), jnp.array(False))
+    ((trained, trained_adam), _, epochs, _), _ = jax.lax.scan(one_epoch, first, jr.split(key, config.epochs))
+    rows = batch.obs.reshape(-1, batch.obs.shape[-1])
+    mean_kl = jnp.mean(jax.vmap(lambda o: kl(policy(o), trained(o)))(rows))
+    after = loss(trained, batch, config.clip)
+    leaves = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(trained)]
+    usable = jnp.isfinite(after) & jnp.stack(leaves).all()
+    chosen, chosen_adam = jax.tree.map(
+        lambda a, b: jnp.where(usable, b, a), (policy, adam), (trained, trained_adam)
+    )
+    info = UpdateInfo(
+        kl=jnp.where(usable, mean_kl, 0.0),
+        loss=jnp.where(usable, after, before),
+        improvement=jnp.where(usable, before - after, 0.0),
+        entropy=chosen.entropy(),
+        rounds=epochs,
+        skipped=~usable,
+    )
+    return chosen, chosen_adam, info
+
+
+def loss(policy: GaussianPolicy, batch: Batch, clip: float) -> Float[Array, ""]:
+    """Minus the clipped surrogate.
+
+    Source: Schulman et al. 2017, equation 7.
+    """
+    ratio = jnp.exp(policy.log_prob(batch.obs, batch.actions) - batch.log_prob)
+    clipped = jnp.clip(ratio, 1 - clip, 1 + clip)
+    return -jnp.mean(jnp.minimum(ratio * batch.advantages, clipped * batch.advantages))
+
+
+def minibatch_step(
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig
+) -> tuple[GaussianPolicy, optax.OptState]:
+    """One step of the optimiser."""
+    gradient = jax.grad(loss)(policy, batch, config.clip)
+    updates, adam = optimiser(config).update(gradient, adam)
+    return eqx.apply_updates(policy, updates), adam
+
+
+def _epoch(
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig, *, key: Key[Array, ""]
+) -> tuple[GaussianPolicy, optax.OptState]:
+    """All samples once, in a random order; the last minibatch may be smaller."""
+    num = len(batch.advantages)
+    size = min(config.minibatch, num)
+    order = jr.permutation(key, num)
+    whole = num // size * size
+
+    def step(carry: tuple, rows: Int[Array, " sample"]) -> tuple[tuple, None]:
+        policy, adam = carry
+        return minibatch_step(policy, adam, jax.tree.map(lambda x: x[rows], batch), config), None
+
+    carry, _ = jax.lax.scan(step, (policy, adam), order[:whole].reshape(-1, size))
+    return step(carry, order[whole:])[0] if whole < num else carry
