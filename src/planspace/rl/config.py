@@ -85,7 +85,8 @@ PRESETS: dict[tuple[Algo, RLPreset], LearnerConfig] = {
     ("ppo", "paper"): LearnerConfig(
         gae_lambda=0.95, critic="mlp", normalise_advantages=False, entropy_reward=0.02
     ),
-    ("trpo", "modern"): LearnerConfig(normalise_obs=True, bootstrap_timeout=True),
+    # not the linear critic: what it says beyond the time limit feeds on itself and can run away
+    ("trpo", "modern"): LearnerConfig(critic="mlp", normalise_obs=True, bootstrap_timeout=True),
     ("ppo", "modern"): LearnerConfig(
         gae_lambda=0.95,
         critic="mlp",

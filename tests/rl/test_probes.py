@@ -1,0 +1,122 @@
+"""Probe environments: tasks so small that what an algorithm must learn is known.
+
+They stand on the cart-pole's physics, whose states only serve as observations.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planspace.envs.batch import TaskBatch
+from planspace.rewards import never
+from planspace.rl import train as module
+from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.rollout import Actor
+from planspace.tasks import TASKS, Task
+
+ARMS: list[tuple[Algo, RLPreset]] = [
+    ("trpo", "paper"),
+    ("trpo", "modern"),
+    ("ppo", "paper"),
+    ("ppo", "modern"),
+]
+GAMMA = 0.99
+
+
+STEPS = 1000
+"""An iteration's, for each seed."""
+
+
+@pytest.fixture(autouse=True)
+def small_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BATCH_STEPS", STEPS)
+
+
+def probe(reward, horizon: int = 1) -> Task:
+    """A task with another reward (before, after, control) and horizon, that ends after each step."""
+    return replace(
+        TASKS["cartpole"],
+        horizon=horizon,
+        start_low=(-1.0, -1.0, 0.0, 0.0),
+        start_high=(1.0, 1.0, 0.0, 0.0),
+        reward=lambda before, after, control, target: reward(before, after, control),
+        terminated=lambda after: np.ones(len(after), bool),
+    )
+
+
+class Trained:
+    """What came out of some iterations of an arm."""
+
+    def __init__(self, task: Task, algo: Algo, preset: RLPreset, iterations: int = 20):
+        config = TrainConfig("probe", algo, num_seeds=2, preset=preset, steps=iterations * BATCH_STEPS)
+        self.observer = Observer(task, "raw", "none", "both", None)
+        batch = TaskBatch(task, 2 * (STEPS // task.horizon))
+        self.state = module._init(config, self.observer, batch)
+        self.normalised = config.learns.normalise_obs
+        for i in range(iterations):
+            self.state = module._iterate(config, self.observer, batch, self.state, i)
+
+    def value(self, obs: np.ndarray, step: int = 0) -> np.ndarray:
+        """Of one observation, for each seed."""
+        rows = self._seen(obs)
+        return self.state.critic.values(rows, np.full(rows.shape[:2], step))[:, 0]
+
+    def action(self, obs: np.ndarray) -> np.ndarray:
+        """The mean action, for each seed."""
+        return Actor(self.state.policies, slice(None)).mean(self._seen(obs))[:, 0, 0]
+
+    def _seen(self, obs: np.ndarray) -> np.ndarray:
+        rows = np.broadcast_to(obs.astype(np.float32), (2, 1, 4))
+        return self.state.statistics(rows) if self.normalised else rows
+
+
+@pytest.mark.parametrize(("algo", "preset"), ARMS)
+def test_the_value_of_one_step_is_its_reward(algo: Algo, preset: RLPreset) -> None:
+    trained = Trained(probe(lambda before, after, control: np.full(len(before), 0.7)), algo, preset, 10)
+    np.testing.assert_allclose(trained.value(np.array([0.5, -0.5, 0, 0])), 0.7, atol=0.02)
+
+
+@pytest.mark.parametrize(("algo", "preset"), ARMS)
+def test_what_comes_a_step_later_is_discounted(algo: Algo, preset: RLPreset) -> None:
+    # the cart rolls at 5 m/s whatever is done, past 0.1 m in the first step and 0.3 m in the second
+    task = replace(
+        probe(lambda before, after, control: (before[:, 0] > 0.1).astype(float), horizon=2),
+        start_low=(0.0, 0.0, 5.0, 0.0),
+        start_high=(0.0, 0.0, 5.0, 0.0),
+        terminated=lambda x: x[:, 0] > 0.3,
+    )
+    trained = Trained(task, algo, preset, 30)
+    first, second = np.array([0.0, 0.0, 5.0, 0.0]), np.array([0.2, 0.0, 5.0, 0.0])
+    np.testing.assert_allclose(trained.value(first, 0), GAMMA, atol=0.03)
+    np.testing.assert_allclose(trained.value(second, 1), 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize(("algo", "preset"), ARMS)
+def test_the_better_action_is_found(algo: Algo, preset: RLPreset) -> None:
+    task = probe(lambda before, after, control: -((control[:, 0] - 1.0) ** 2))
+    trained = Trained(task, algo, preset, 60)
+    np.testing.assert_allclose(trained.action(np.zeros(4)), 1.0, atol=0.2)
+
+
+@pytest.mark.parametrize(("algo", "preset"), ARMS)
+def test_the_better_action_depends_on_what_is_seen(algo: Algo, preset: RLPreset) -> None:
+    task = probe(lambda before, after, control: -((control[:, 0] - np.sign(before[:, 0])) ** 2))
+    trained = Trained(task, algo, preset, 60)
+    assert (trained.action(np.array([0.7, 0.0, 0.0, 0.0])) > 0.6).all()
+    assert (trained.action(np.array([-0.7, 0.0, 0.0, 0.0])) < -0.6).all()
+
+
+@pytest.mark.parametrize(("algo", "preset"), ARMS)
+def test_beyond_the_time_limit_lies_what_the_preset_says(algo: Algo, preset: RLPreset) -> None:
+    """A reward of 1 for ever, seen ten steps at a time: worth 1 / (1 - gamma) = 100 if one knows it."""
+    task = replace(probe(lambda before, after, control: np.ones(len(before)), horizon=10), terminated=never)
+    value = Trained(task, algo, preset, 12).value(np.zeros(4), 0)
+    ten_steps = (1 - GAMMA**10) / (1 - GAMMA)  # 9.56
+    if preset == "modern":
+        assert (value > 4 * ten_steps).all()  # each iteration looks ten steps further
+    elif algo == "trpo":
+        np.testing.assert_allclose(value, ten_steps, atol=0.1)
+    else:  # its critic does not see the step, of which 1 to 10 are left
+        assert ((value > 4) & (value < ten_steps + 0.5)).all()
