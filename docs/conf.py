@@ -1,5 +1,6 @@
 """Sphinx's settings: `sphinx-build docs docs/_build` (extra `docs`)."""
 
+import importlib.util
 import re
 
 import planspace
@@ -13,6 +14,7 @@ html_theme = "furo"
 html_title = "planspace"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say shapes and units
+autodoc_mock_imports = [] if importlib.util.find_spec("stable_baselines3") else ["stable_baselines3"]
 autodoc_default_options = {"members": True}
 napoleon_use_rtype = False
 

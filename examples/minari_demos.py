@@ -3,10 +3,12 @@
     pip install 'planspace[minari]'
     python examples/minari_demos.py swingup/expert-v0 --episodes 50 --out embedding
 
-The expert here plays planned controls; any controller, agent or person in the same environment will do.
+The expert here plays plans made at the environment's own time step; any controller, agent or person in the
+same environment will do.
 """
 
 import argparse
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +19,21 @@ import numpy as np
 import planspace
 from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
+from planspace.physics.simulate import ASSETS
 from planspace.plan.generate import generate
+from planspace.plan.problem import Problem
 from planspace.plan.problem_file import load_problem
 
 TASK = "planspace/CartPoleSwingUp-v0"
+
+
+def problem_at_env_steps(folder: Path) -> Problem:
+    """The swing-up with the environment's time step of 0.04 s, in which a control cannot change."""
+    folder.mkdir(parents=True, exist_ok=True)
+    model = (ASSETS / "cartpole.xml").read_text()
+    (folder / "cartpole.xml").write_text(model.replace('timestep="0.02"', 'timestep="0.04"'))
+    shutil.copy(ASSETS / "cartpole-swingup.yaml", folder)
+    return load_problem(str(folder / "cartpole-swingup.yaml"))
 
 
 def record(dataset_id: str, plans: planspace.Demos) -> None:
@@ -29,8 +42,9 @@ def record(dataset_id: str, plans: planspace.Demos) -> None:
     for i in range(len(plans)):
         plan = plans.episode(i)
         env.reset(seed=i, options={"state": plan.states[0]})
-        for control in plan.controls[::2]:  # a step of the environment is two of the physics
-            env.step(control.astype(np.float32))
+        for control in plan.controls:
+            obs, *_ = env.step(control.astype(np.float32))
+        print(f"episode {i} ends {np.abs(obs).sum():.2f} from the goal")
     env.create_dataset(dataset_id, eval_env=TASK, description="Planned swing-ups of a cart-pole.")
     env.close()
 
@@ -46,7 +60,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="of training")
     arguments = parser.parse_args()
     plans = arguments.out / "plans"
-    generate(load_problem("cartpole-swingup"), plans, num=arguments.episodes, seed=0)
+    generate(problem_at_env_steps(arguments.out), plans, num=arguments.episodes, seed=0)
     record(arguments.dataset_id, planspace.load_demos(plans))
 
     demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # knows the task it was recorded from

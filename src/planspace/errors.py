@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class PlanspaceError(Exception):
@@ -22,7 +23,7 @@ class PartialResult(PlanspaceError):
     exit_code = 3
 
 
-def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
+def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:
     """Builds the error for a name that is not in a closed list, with the nearest name that is.
 
     Args:
@@ -34,6 +35,6 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UsageError:
         The error, to be raised by the caller.
     """
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     return UsageError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(names)}.")

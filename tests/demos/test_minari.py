@@ -1,5 +1,6 @@
 import json
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -248,11 +249,13 @@ def test_without_minari_the_error_says_what_to_install(
         export_demos(demos, f"minari:{NAME}")
 
 
-def record(minari, env_id: str, infos: bool = True, num: int = 2, **kwargs) -> np.ndarray:
+def record(
+    minari, env_id: str, infos: bool = True, num: int = 2, wrap=lambda env: env, **kwargs
+) -> np.ndarray:
     """Records random episodes of a task; gives the states of the last."""
     import gymnasium
 
-    env = minari.DataCollector(gymnasium.make(env_id, **kwargs), record_infos=infos)
+    env = minari.DataCollector(wrap(gymnasium.make(env_id, **kwargs)), record_infos=infos)
     folders = [env._tmp_dir]
     env.action_space.seed(0)
     for seed in range(num):
@@ -279,6 +282,57 @@ def test_what_a_task_recorded_needs_no_telling(minari, infos: bool, obs: str) ->
     off = np.round((last.states - states) / (2 * np.pi)) * 2 * np.pi  # whole turns, so that it ends near 0
     np.testing.assert_allclose(last.states - off, states, rtol=1e-6)
     np.testing.assert_array_equal(off[:, [0, 2, 3]], 0.0)
+
+
+def test_a_problem_takes_its_own_states_or_none(minari, tmp_path: Path) -> None:
+    from planspace.plan.generate import state_info
+    from planspace.plan.problem_file import load_problem
+
+    record(minari, "planspace/CartPoleSwingUp-v0")
+    balance = load(tmp_path, info=state_info(load_problem("cartpole")))
+    assert balance.info.problem == "cartpole" and len(balance) == 2
+    with pytest.raises(UsageError, match="recorded from planspace/CartPoleSwingUp-v0, .*has 'shoulder'"):
+        load(tmp_path / "other", info=state_info(load_problem("acrobot")))
+
+
+def test_what_wrappers_did_is_not_taken_for_states(minari, capsys: pytest.CaptureFixture[str]) -> None:
+    from gymnasium.wrappers import NormalizeObservation, RescaleAction
+
+    def rescaled(env):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Gymnasium's, of bounds that are not float32
+            return RescaleAction(env, -1.0, 1.0)
+
+    record(minari, "planspace/CartPoleSwingUp-v0", wrap=NormalizeObservation, infos=False)
+    with pytest.raises(UsageError, match="do not hold the states"):
+        load_demos(f"minari:{NAME}")
+    minari.delete_dataset(NAME)
+    record(minari, "planspace/CartPoleSwingUp-v0", wrap=rescaled)
+    load_demos(f"minari:{NAME}")
+    assert "recorded through RescaleAction: its controls may not be" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "spec", ['{"kwargs": null}', '{"kwargs": {"obs": 3}}', '{"additional_wrappers": [1]}']
+)
+def test_a_damaged_spec_is_one_line(minari, spec: str) -> None:
+    from planspace.demos.recorded_task import recorded_task
+
+    damaged = {"env_spec": json.dumps({"id": "planspace/CartPole-v0", **json.loads(spec)})}
+    with pytest.raises(PlanspaceError, match="the environment's spec in the metadata of 'x' is damaged"):
+        recorded_task(damaged, "x")
+    assert recorded_task({"env_spec": "{"}, "x") is None
+
+
+def test_shaped_episodes_can_be_recorded(minari, embedding_folder: Path) -> None:
+    from planspace.envs.wrappers import PlanSpaceShaping
+
+    record(
+        minari,
+        "planspace/CartPoleSwingUp-v0",
+        wrap=lambda e: PlanSpaceShaping(e, embedding_folder, [0.0] * 4),
+    )
+    assert len(load_demos(f"minari:{NAME}")) == 2
 
 
 def test_states_that_were_not_recorded_are_asked_for(minari) -> None:

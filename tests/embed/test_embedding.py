@@ -132,6 +132,11 @@ def test_columns_are_found_by_name(embedding: Embedding) -> None:
         embedding.columns_of(("slider", "hinge"))
 
 
+def test_a_short_z_is_refused(embedding: Embedding) -> None:
+    with pytest.raises(PlanspaceError, match=r"z has 3 numbers, got an array of shape \(2,\)"):
+        embedding.decode(np.zeros(2))
+
+
 @pytest.mark.parametrize("shape", [(), (1,), (63,), (64,), (65,), (3, 70), (0,)])
 def test_many_are_encoded_in_blocks_as_one_by_one(
     embedding: Embedding, shape: tuple[int, ...], rng: np.random.Generator

@@ -43,10 +43,11 @@ def test_ours_does_what_sb3s_own_does(embedding_folder: Path, mode: str) -> None
         for a, b in zip(got[1:3], wanted[1:3], strict=True):
             assert a.dtype == b.dtype and np.array_equal(a, b)
         for i in range(4):
+            assert got[3][i].keys() - {"episode"} == wanted[3][i].keys()
+            assert got[3][i]["TimeLimit.truncated"] == wanted[3][i]["TimeLimit.truncated"]
             alike(got[3][i]["state"], wanted[3][i]["state"])
             if got[2][i]:
                 alike(got[3][i]["terminal_observation"], wanted[3][i]["terminal_observation"])
-                assert got[3][i]["TimeLimit.truncated"] == wanted[3][i]["TimeLimit.truncated"]
                 assert got[3][i]["episode"]["l"] <= 8
                 alike(ours.venv.reset_infos[i]["state"], theirs.reset_infos[i]["state"])
                 seen.add(got[3][i]["TimeLimit.truncated"])
@@ -95,6 +96,8 @@ def test_what_does_not_fit_is_refused() -> None:
     env.set_options({"speed": 3})
     with pytest.raises(UsageError, match="can be given a state to start from, nothing else"):
         env.reset()
+    env.reset()  # the options are gone
+    assert make_vec_env("planspace:planspace/CartPole-v0").venv.env.spec.to_json()  # pyright: ignore
 
 
 def test_any_vector_environment_of_gymnasium_serves() -> None:

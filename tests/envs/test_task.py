@@ -137,7 +137,7 @@ def test_ten_thousand_random_steps_stay_in_bounds() -> None:
             obs, reward, _, _, info = env.step(env.action_space.sample())
             assert obs in env.observation_space
             assert np.isfinite(obs).all() and np.isfinite(reward).all()
-        assert "diverged" not in info
+        assert not info["diverged"].any()
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -219,6 +219,27 @@ def test_starts_from_a_given_state_and_refuses_another_size() -> None:
     np.testing.assert_array_equal(info["state"], [0.1, 0.5, 0.0, 0.0])
     with pytest.raises(UsageError, match=r"a state has 4 numbers .*, options give \(2,\)"):
         env.reset(options={"state": [0.0, 0.0]})
+    with pytest.raises(UsageError, match="a state to start from is numbers, got 'upright'"):
+        env.reset(options={"state": "upright"})
+
+
+def test_a_quaternion_to_start_from_is_made_one_long() -> None:
+    env = gymnasium.make("planspace/Quadrotor-v0")
+    state = np.zeros(13)
+    with pytest.raises(UsageError, match=r"a quaternion \(body_qw, .* cannot be 0"):
+        env.reset(options={"state": state})
+    state[3] = 5.0
+    _, info = env.reset(options={"state": state})
+    assert info["state"][3] == 1.0
+
+
+def test_what_mujoco_cannot_take_is_refused_or_ends_the_episode() -> None:
+    env = gymnasium.make("planspace/CartPoleSwingUp-v0", reward="2020")
+    env.reset(seed=0)
+    with pytest.raises(UsageError, match="an action must be finite numbers"):
+        env.step(np.array([np.inf], np.float32))
+    _, _, _, truncated, info = env.step(np.array([1e30], np.float32))
+    assert truncated and info["diverged"]
 
 
 def test_tasks_are_found_by_name_and_suggest_the_nearest() -> None:

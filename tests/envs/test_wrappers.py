@@ -271,8 +271,8 @@ def test_what_does_not_fit_is_refused_at_construction(embedding_folder: Path, tm
         ({"goal": [0.0, 0.0]}, "the goal is a finite state of 4 numbers"),
         ({"goal": {"slider": 0.0}}, "'hinge' is missing"),
         ({"goal": {**GOAL, "hinge": np.nan}}, "the goal is a finite state"),
-        ({"goal": GOAL, "scale": 0.0}, "scale must be above 0"),
-        ({"goal": GOAL, "discount": 1.5}, "discount must be above 0 and at most 1"),
+        ({"goal": GOAL, "scale": 0.0}, "scale must be a number above 0"),
+        ({"goal": GOAL, "discount": 1.5}, "discount must be a number above 0 and at most 1"),
     ],
 )
 def test_shaping_is_checked_at_construction(
@@ -286,8 +286,53 @@ def test_an_environment_without_a_state_is_told_what_to_give(embedding_folder: P
     class Stateless(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(-1, 1, (6,))
 
-    with pytest.raises(UsageError, match=r"neither an attribute `state` nor MuJoCo's .* Give columns="):
+    with pytest.raises(
+        UsageError, match=r"neither attributes `state` and `state_names` nor MuJoCo's .* Give columns="
+    ):
         PlanSpaceObservation(Stateless(), embedding_folder)
+
+
+def test_a_state_without_names_is_not_guessed_at(embedding_folder: Path) -> None:
+    """Gymnasium's own cart-pole has four numbers, too, in another order."""
+    env = gymnasium.make("CartPole-v1")
+    env.reset(seed=0)
+    with pytest.raises(UsageError, match="neither attributes `state` and `state_names` nor MuJoCo's"):
+        PlanSpaceObservation(env, embedding_folder)
+
+    class Short(gymnasium.Env):
+        observation_space = gymnasium.spaces.Box(-1, 1, (6,))
+        state_names = ("slider", "hinge", "slidervel", "hingevel")
+        state = np.zeros(2)
+
+    with pytest.raises(
+        UsageError, match="has 4 `state_names`, and 2 numbers in its attribute `state`. Give col"
+    ):
+        PlanSpaceObservation(Short(), embedding_folder)
+
+
+@pytest.mark.parametrize("autoreset", MODES, ids=lambda mode: mode.value)
+def test_infos_of_shaping_are_those_of_single_environments(
+    embedding_folder: Path, autoreset: AutoresetMode
+) -> None:
+    def wrap(env: gymnasium.Env) -> gymnasium.Env:
+        return PlanSpaceShaping(env, embedding_folder, GOAL)
+
+    ours = PlanSpaceVectorShaping(many(autoreset), embedding_folder, GOAL)
+    theirs = one_by_one(wrap, autoreset)
+    infos = [(ours.reset(seed=2)[1], theirs.reset(seed=2)[1])]
+    for _ in range(30):
+        actions = ours.action_space.sample()
+        got, wanted = ours.step(actions), theirs.step(actions)
+        infos.append((got[4], wanted[4]))
+        if autoreset == AutoresetMode.DISABLED and (got[2] | got[3]).any():
+            for env in (ours, theirs):
+                env.reset(options={"reset_mask": got[2] | got[3]})
+    for got, wanted in infos:
+        assert got.keys() == wanted.keys()
+        finals = [(got["final_info"], wanted["final_info"])] if "final_info" in wanted else []
+        for a, b in [(got, wanted), *finals]:
+            np.testing.assert_allclose(a["shaping"], b["shaping"], atol=1e-5)
+            np.testing.assert_array_equal(a["_shaping"], b["_shaping"])
 
 
 def test_stands_on_other_wrappers(embedding_folder: Path) -> None:

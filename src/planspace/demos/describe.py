@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import MANIFEST, Demos, load_demos
+from planspace.demos.dataset import MANIFEST, MINARI_PREFIX, Demos, load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import replay
 from planspace.store import read_sealed
@@ -74,6 +74,8 @@ def replay_errors(demos: Demos) -> np.ndarray:
 
 def _origin(folder: Path) -> dict[str, Any]:
     """What planned the demonstrations, or where they were imported from."""
+    if str(folder).startswith(MINARI_PREFIX):
+        return {"imported": str(folder)}
     settings = read_sealed(folder / MANIFEST)["settings"]
     return {key: settings[key] for key in ("planner", "seed", "imported") if key in settings}
 

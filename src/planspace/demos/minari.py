@@ -53,14 +53,15 @@ def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions)
     ours = _our_info(metadata, dataset_id)
     if ours is not None and options.dt is not None:
         raise UsageError(f"--dt has no meaning for {dataset_id}, which has times of its own; leave it out.")
-    task = recorded_task(metadata) if ours is None and not options.states else None
+    task = recorded_task(metadata, dataset_id) if ours is None and not options.states else None
     step, notices = _step(metadata, options, task)
     info = info or ours or (task.info if task else None)
     episodes: list[Episode] = []
     for i, (data, extra) in enumerate(pairs):
         where = f"{dataset_id}, episode {i}"
         if task:
-            states = task.states(data.observations, data.infos, where)
+            assert info is not None
+            states = task.states(info, data.observations, data.infos, where)
         else:
             states = choose_states(data.observations, info, options, where)
         controls = flat(data.actions, f"the actions of {where}")
@@ -131,7 +132,7 @@ def _step(
     if options.dt is not None:
         return options.dt, ()
     if task is not None:
-        return task.step, ()
+        return task.step, task.notices
     step = metadata.get(STEP_KEY)
     if isinstance(step, int | float) and 0 < step < np.inf:
         return float(step), ()

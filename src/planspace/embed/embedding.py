@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
@@ -106,6 +107,7 @@ class Inputs:
     def expand(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
         """States to inputs, before standardising."""
         values = np.asarray(states)
+        values = values if values.dtype.kind == "f" else values.astype(float)
         if not self._sines:
             return values
         values = values[..., self.columns]
@@ -242,8 +244,15 @@ class Embedding:
         return (mu, sigma) if self.turn is None else self.turn(mu, sigma)
 
     def decode(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch state"]:
-        """The state the decoder takes z to be."""
-        latent = np.asarray(z) if self.turn is None else self.turn.invert(np.asarray(z))
+        """The state the decoder takes z to be.
+
+        Raises:
+            PlanspaceError: z has another number of columns.
+        """
+        z = np.asarray(z)
+        if z.shape[-1:] != (self.z_dim,):
+            raise PlanspaceError(f"z has {self.z_dim} numbers, got an array of shape {z.shape}.")
+        latent = z if self.turn is None else self.turn.invert(z)
         return self.inputs.invert(_gaussian(latent, self.decoder, self.sigma_floor)[0])
 
     def distance(
@@ -306,10 +315,10 @@ class Embedding:
 
     def _checked(self, states: np.ndarray) -> np.ndarray:
         states = np.asarray(states, dtype=np.float64)
-        if states.shape[-1] != self.state_dim:
+        if states.shape[-1:] != (self.state_dim,):
             raise PlanspaceError(
                 f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
-                f"got {states.shape[-1]}."
+                f"got {states.shape[-1] if states.ndim else 'a single number'}."
             )
         return states
 
@@ -336,11 +345,16 @@ def load_embedding(path: str | Path) -> Embedding:
 
     Raises:
         PlanspaceError: not an embedding, a newer schema, or altered since it was saved.
+        UsageError: it is no path.
     """
+    if not isinstance(path, str | PathLike):
+        raise UsageError(f"an embedding is given by the path of its folder, got {path!r:.60}.")
     path = Path(path)
     if not (path / DESCRIPTION).exists():
         if (path / CONFIG).exists():
             raise PlanspaceError(f"{path} is being trained, or was interrupted: run the same command again.")
+        if path.name == DESCRIPTION and path.exists():
+            raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
     text = read_sealed(path / DESCRIPTION)
     if text.get("kind") != "embedding":

@@ -46,13 +46,13 @@ def make_vec_env(
         UsageError: an argument does not fit; see `TaskVectorEnv` and `PlanSpaceVectorObservation`.
         PlanspaceError: the embedding cannot be loaded.
     """
-    if gymnasium.spec(env_id).vector_entry_point is None:
+    if gymnasium.spec(env_id.rpartition(":")[2]).vector_entry_point is None:
         raise UsageError(f"{env_id} has no vector environment of its own; use SB3's make_vec_env for it.")
     env: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
         env_id,
         num_envs=n_envs,
         vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP,
+        autoreset_mode=AutoresetMode.SAME_STEP.value,  # an enum would not survive the spec's JSON
         **(env_kwargs or {}),
     )
     if embedding is not None:
@@ -84,11 +84,11 @@ class GymnasiumVecEnv(VecEnv):
 
     def reset(self) -> Any:
         """Starts all episodes, with the seeds and options set since the last time."""
-        seeds = None if None in self._seeds else list(self._seeds)
-        obs, info = self.env.reset(seed=seeds, options=_merged(self._options))  # pyright: ignore
-        self.reset_infos = _one_by_one(info, self.num_envs)
+        seeds, options = None if None in self._seeds else list(self._seeds), self._options
         self._reset_seeds()
         self._reset_options()
+        obs, info = self.env.reset(seed=seeds, options=_merged(options))  # pyright: ignore
+        self.reset_infos = _one_by_one(info, self.num_envs)
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -103,8 +103,9 @@ class GymnasiumVecEnv(VecEnv):
         infos, ends = _one_by_one(info, self.num_envs), _one_by_one(final, self.num_envs)
         for i in np.flatnonzero(done):
             self.reset_infos[i] = infos[i]
-            infos[i] = infos[i] | ends[i] | {"terminal_observation": last[i]}
-            infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+            infos[i] = ends[i] | {"terminal_observation": last[i]}
+        for told, cut_off in zip(infos, (truncated & ~terminated).tolist(), strict=True):
+            told["TimeLimit.truncated"] = cut_off
         return obs, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
@@ -146,11 +147,10 @@ class GymnasiumVecEnv(VecEnv):
 
 def _merged(options: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """Each episode's options as those of the vector environment."""
-    given = [set(one) for one in options]
-    if not any(given):
+    if not any(options):
         return None
-    if any(names != {"state"} for names in given):
-        raise UsageError(f"each episode can be given a state to start from, nothing else; got {options}.")
+    if any(set(one) != {"state"} for one in options) or len({np.shape(one["state"]) for one in options}) != 1:
+        raise UsageError(f"all episodes can be given a state to start from, nothing else; got {options}.")
     return {"state": np.stack([one["state"] for one in options])}
 
 

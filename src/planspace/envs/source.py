@@ -1,5 +1,6 @@
 """Where an embedding's states come from: the environment by name, its MuJoCo data, or the observation."""
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -73,8 +74,8 @@ def state_source(
         env: the environment, which may be wrapped.
         embedding: what reads the states.
         columns: the numbers of the observation that are the states, in the embedding's order; None looks for
-            an attribute `state` (with `state_names`, or of just the size), then for MuJoCo's `model` and
-            `data` with joints of those names.
+            attributes `state` and `state_names`, then for MuJoCo's `model` and `data` with joints of those
+            names.
 
     Raises:
         UsageError: the states cannot be read in any of these ways.
@@ -84,16 +85,18 @@ def state_source(
     inner: Any = env.unwrapped
     names = getattr(inner, "state_names", None)
     if names is not None:
-        return _Attribute(inner, list(embedding.columns_of(names)))
-    if hasattr(inner, "state"):
-        if np.size(inner.state) != embedding.state_dim:
-            raise UsageError(f"{_wanted(embedding)}, the environment's state has {np.size(inner.state)}.")
-        return _Attribute(inner, list(range(embedding.state_dim)))
+        state = getattr(inner, "state", np.empty(0))
+        if state is not None and np.size(state) != len(names):  # None: there is none before the first reset
+            raise UsageError(
+                f"the environment has {len(names)} `state_names`, and {np.size(state)} numbers in its "
+                f"attribute `state`. {_columns_help(embedding)}"
+            )
+        return _Attribute(inner, _found(embedding, names))
     if type(getattr(inner, "model", None)).__name__ == "MjModel":
         return _of_mujoco(inner, embedding)
     raise UsageError(
-        "the states cannot be read: the environment has neither an attribute `state` nor MuJoCo's `model` "
-        f"and `data`. Give columns=[...], the numbers of the observation that are ({_names(embedding)})."
+        "the states cannot be read: the environment has neither attributes `state` and `state_names` nor "
+        f"MuJoCo's `model` and `data`. {_columns_help(embedding)}"
     )
 
 
@@ -116,11 +119,11 @@ def vector_state_source(
     names = _names_of_vector(env.unwrapped)
     if names is None:
         raise UsageError(
-            'the states cannot be read: the environments have no `state_names` for their info["state"]. Give '
-            f"columns=[...], the numbers of the observation that are ({_names(embedding)}), or put "
-            "PlanSpaceObservation around each single environment, which reads MuJoCo's data, too."
+            'the states cannot be read: the environments have no `state_names` for their info["state"]. '
+            f"{_columns_help(embedding)} Or put PlanSpaceObservation around each single environment, which "
+            "reads MuJoCo's data, too."
         )
-    return _Info(list(embedding.columns_of(names)))
+    return _Info(_found(embedding, names))
 
 
 def source_of_columns(
@@ -133,11 +136,15 @@ def source_of_columns(
     """
     if not isinstance(space, Box) or len(space.shape) != 1:
         raise UsageError(f"columns are those of a flat Box, the observation is {space}.")
+    try:
+        columns = [operator.index(c) for c in columns if not isinstance(c, bool)]
+    except TypeError:
+        raise UsageError(f"columns are whole numbers, got {columns!r}.") from None
     if len(columns) != embedding.state_dim:
         raise UsageError(f"{_wanted(embedding)}, got {len(columns)} columns.")
     if not all(0 <= c < space.shape[0] for c in columns):
         raise UsageError(f"columns {list(columns)} reach outside an observation of {space.shape[0]} numbers.")
-    return _Columns(list(columns))
+    return _Columns(columns)
 
 
 def _of_mujoco(inner: Any, embedding: Embedding) -> StateSource:
@@ -146,7 +153,7 @@ def _of_mujoco(inner: Any, embedding: Embedding) -> StateSource:
     model = inner.model
     joints = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name]
     space = StateSpace.from_model(model, joints)
-    return _Joints(inner, space, list(embedding.columns_of(space.names)))
+    return _Joints(inner, space, _found(embedding, space.names))
 
 
 def _names_of_vector(inner: Any) -> Sequence[str] | None:
@@ -156,6 +163,18 @@ def _names_of_vector(inner: Any) -> Sequence[str] | None:
         return inner.get_attr("state_names")[0]
     except (AttributeError, KeyError, TypeError):
         return None
+
+
+def _found(embedding: Embedding, names: Sequence[str]) -> list[int]:
+    """Where the embedding's states are among these."""
+    try:
+        return list(embedding.columns_of(names))
+    except UsageError as error:
+        raise UsageError(f"{error} {_columns_help(embedding)}") from None
+
+
+def _columns_help(embedding: Embedding) -> str:
+    return f"Give columns=[...], the numbers of the observation that are ({_names(embedding)})."
 
 
 def _wanted(embedding: Embedding) -> str:

@@ -11,6 +11,7 @@ from planspace.envs.batch import TaskBatch
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
 from planspace.forms import ObsForm
+from planspace.physics.space import StateSpace
 from planspace.tasks import Task, find_obs_form, find_reward_form, find_task
 
 
@@ -90,23 +91,21 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         super().reset(seed=seed)
         states, targets = self.task.sample_starts(1, self.np_random)
         if options and "state" in options:
-            states = given_states(options["state"], self.state_names)[None]
+            states = given_states(options["state"], self._batch.simulator.space)[None]
         self._batch.reset(states, targets)
         if self.render_mode == "human":
             self._renderer.show(0)
         return self._now()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Takes one step; diverged physics truncate the episode, with `info["diverged"]`.
+        """Takes one step; diverged physics truncate the episode, and `info["diverged"]` is true.
 
         Raises:
-            UsageError: the action has another shape, or is not a number.
+            UsageError: the action has another shape, or is not finite.
         """
         action = checked_actions(action, self.action_space)
         reward, terminated, diverged = self._batch.step(action[None])
-        obs, info = self._now()
-        if diverged[0]:
-            info["diverged"] = True
+        obs, info = self._now(bool(diverged[0]))
         if self.render_mode == "human":
             self._renderer.show(0)
         return obs, float(reward[0]), bool(terminated[0]), bool(diverged[0]), info
@@ -119,9 +118,9 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         """Frees what drawing took."""
         self._renderer.close()
 
-    def _now(self) -> tuple[np.ndarray, dict[str, Any]]:
+    def _now(self, diverged: bool = False) -> tuple[np.ndarray, dict[str, Any]]:
         obs = self.task.observe_as(self.obs, self._batch.states, self._batch.targets)
-        return obs[0].astype(np.float32), {"state": self.state}
+        return obs[0].astype(np.float32), {"state": self.state, "diverged": diverged}
 
 
 def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
@@ -147,13 +146,17 @@ def frames_per_second(batch: TaskBatch) -> int:
     return round(1.0 / (batch.task.frame_skip * batch.simulator.model.opt.timestep))
 
 
-def given_states(given: Any, names: tuple[str, ...], num: int | None = None) -> np.ndarray:
+def given_states(given: Any, space: StateSpace, num: int | None = None) -> np.ndarray:
     """States a caller gave to start from: one, or with `num` that many or one for all.
 
     Raises:
-        UsageError: they have another shape, or are not finite.
+        UsageError: they have another shape, are not finite, or hold a quaternion of length 0.
     """
-    states = np.asarray(given, dtype=float)
+    names = space.names
+    try:
+        states = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise UsageError(f"a state to start from is numbers, got {given!r}.") from None
     shapes = [(len(names),)] + ([] if num is None else [(num, len(names))])
     if states.shape not in shapes:
         raise UsageError(
@@ -161,11 +164,17 @@ def given_states(given: Any, names: tuple[str, ...], num: int | None = None) -> 
         )
     if not np.isfinite(states).all():
         raise UsageError(f"a state to start from must be finite, got {states}.")
+    for start in space.quaternion_columns:
+        if (np.linalg.norm(states[..., start : start + 4], axis=-1) == 0).any():
+            raise UsageError(
+                f"a quaternion ({', '.join(names[start : start + 4])}) cannot be 0, got {states}."
+            )
+    states = space.normalise(states)
     return states if num is None else np.broadcast_to(states, (num, len(names)))
 
 
 def checked_actions(actions: Any, space: gymnasium.Space[Any]) -> np.ndarray:
-    """Actions as float64, of the space's shape and all numbers; too large ones are left to be clipped.
+    """Actions as float64, of the space's shape and all finite; too large ones are left to be clipped.
 
     Raises:
         UsageError: they are not.
@@ -173,6 +182,6 @@ def checked_actions(actions: Any, space: gymnasium.Space[Any]) -> np.ndarray:
     actions = np.asarray(actions, dtype=float)
     if actions.shape != space.shape:
         raise UsageError(f"an action has shape {space.shape}, got {actions.shape}.")
-    if np.isnan(actions).any():
-        raise UsageError(f"an action must be numbers, got {actions}.")
+    if not np.isfinite(actions).all():
+        raise UsageError(f"an action must be finite numbers, got {actions}.")
     return actions

@@ -57,7 +57,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
             reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
                 what that study paid, mistakes and all, and forces without limit.
-            max_episode_steps: episodes are truncated after so many steps; by default the task's horizon.
+            max_episode_steps: episodes are truncated after so many steps; by default the task's horizon, and
+                with -1 never, as in Gymnasium.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
             render_mode: `rgb_array` or None.
@@ -71,6 +72,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self.task = find_task(task)
         if num_envs < 1:
             raise UsageError(f"num_envs must be 1 or more, got {num_envs}.")
+        if max_episode_steps is not None and max_episode_steps != -1 and max_episode_steps < 1:
+            raise UsageError(f"max_episode_steps is 1 or more, or -1 for no limit, got {max_episode_steps}.")
         mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         if mode not in MODES:
             raise unknown("autoreset mode", mode, MODES)
@@ -78,7 +81,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self.obs = find_obs_form(obs)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = AutoresetMode(mode)
-        self.max_episode_steps = self.task.horizon if max_episode_steps is None else max_episode_steps
+        limit = self.task.horizon if max_episode_steps is None else max_episode_steps
+        self.max_episode_steps = np.iinfo(int).max if limit == -1 else limit
         self._batch = TaskBatch(
             self.task, num_envs, threads=threads, reward=find_reward_form(reward, self.task)
         )
@@ -93,6 +97,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._ended = np.zeros(num_envs, dtype=bool)
+        self._started = False
         self._renderer = Renderer(self._batch)
 
     @property
@@ -114,18 +119,20 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             UsageError: seeds, states or mask have another shape.
         """
         options = options or {}
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise UsageError(f"there are {self.num_envs} episodes, and {len(seeds)} seeds.")
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        if seed is not None and len(seed) != self.num_envs:
+            raise UsageError(f"there are {self.num_envs} episodes, and {len(seed)} seeds.")
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise UsageError(f"reset_mask must be {self.num_envs} truth values, one of them true.")
         for i in np.flatnonzero(mask):
-            if seeds is not None and seeds[i] is not None:
-                self._rngs[i] = seeding.np_random(seeds[i])[0]
+            if seed is not None and seed[i] is not None:
+                self._rngs[i] = seeding.np_random(seed[i])[0]
         self._begin(mask, options.get("state"))
+        self._started = True
         info: dict[str, Any] = {}
-        self._add_states(info, mask)
+        self._add_told(info, mask, np.zeros(self.num_envs, dtype=bool))
         return self._observe(), info
 
     def step(
@@ -133,11 +140,14 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Takes one step of every episode; ended ones begin anew as the autoreset mode says.
 
-        Diverged physics truncate an episode, with `info["diverged"]`.
+        Diverged physics truncate an episode, and its `info["diverged"]` is true.
 
         Raises:
-            UsageError: the actions have another shape or are not numbers, or an ended episode was not reset.
+            UsageError: the actions have another shape or are not finite, or an ended episode was not reset.
+            gymnasium.error.ResetNeeded: nothing was reset yet.
         """
+        if not self._started:
+            raise gymnasium.error.ResetNeeded("Cannot call env.step() before calling env.reset()")
         actions = checked_actions(actions, self.action_space)
         restarting = self._ended
         if self.autoreset_mode == AutoresetMode.DISABLED and restarting.any():
@@ -157,10 +167,9 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         info: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
             self._finish(info, self._ended, diverged)
+            diverged = diverged & ~self._ended
             self._begin(self._ended)
-        else:
-            _add(info, "diverged", diverged, diverged)
-        self._add_states(info, np.ones(self.num_envs, dtype=bool))
+        self._add_told(info, np.ones(self.num_envs, dtype=bool), diverged)
         return self._observe(), rewards, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -182,7 +191,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         starts = [self.task.sample_starts(1, self._rngs[i]) for i in ids]
         states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
         if given is not None:
-            states = given_states(given, self.state_names, self.num_envs)[ids]
+            states = given_states(given, self._batch.simulator.space, self.num_envs)[ids]
         self._batch.reset(states, targets, ids.astype(np.int32))
         self._elapsed[ids], self._ended[ids] = 0, False
 
@@ -193,16 +202,11 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         for i in np.flatnonzero(ended):
             last[i] = obs[i]
         final: dict[str, Any] = {}
-        self._add_states(final, ended)
-        _add(final, "diverged", diverged, diverged)
+        self._add_told(final, ended, diverged)
         info |= {"final_obs": last, "_final_obs": ended.copy()}
         info |= {"final_info": final, "_final_info": ended.copy()}
 
-    def _add_states(self, info: dict[str, Any], mask: np.ndarray) -> None:
-        _add(info, "state", np.where(mask[:, None], self._batch.states, 0.0), mask)
-
-
-def _add(info: dict[str, Any], name: str, values: np.ndarray, mask: np.ndarray) -> None:
-    """Adds values as Gymnasium's vector environments do: zero, and not in the mask, where there is none."""
-    if mask.any():
-        info |= {name: values, f"_{name}": mask.copy()}
+    def _add_told(self, info: dict[str, Any], mask: np.ndarray, diverged: np.ndarray) -> None:
+        """Tells of the episodes in the mask, as Gymnasium's vector environments do: 0 for the others."""
+        info |= {"state": np.where(mask[:, None], self._batch.states, 0.0), "_state": mask.copy()}
+        info |= {"diverged": diverged & mask, "_diverged": mask.copy()}

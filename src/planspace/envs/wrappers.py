@@ -6,6 +6,7 @@ data (a path, names, numbers) and are recorded, so that a wrapped environment's 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, SupportsFloat, get_args
 
@@ -183,6 +184,7 @@ class PlanSpaceShaping(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorA
         """Starts an episode."""
         obs, info = self.env.reset(seed=seed, options=options)
         self._before = float(self._potential(obs, info))
+        info["shaping"] = 0.0
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -239,12 +241,14 @@ class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConst
         begun = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         self._before = np.where(begun, self._potential(obs, info), self._before)
         self._restarting = self._restarting & ~begun
+        info["shaping"], info["_shaping"] = np.zeros(self.num_envs), begun.copy()
         return obs, info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Takes a step of every episode."""
         obs, rewards, terminated, truncated, info = self.env.step(actions)
         now = after = self._potential(obs, info)
+        told = np.ones(self.num_envs, dtype=bool)
         if "final_obs" in info:  # ended and begun anew in this step
             ended, after = np.flatnonzero(info["_final_obs"]), now.copy()
             last = np.stack(info["final_obs"][ended])
@@ -254,7 +258,14 @@ class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConst
         self._before = now
         if self._next_step:
             self._restarting = terminated | truncated
-        info["shaping"], info["_shaping"] = shaping, np.ones(self.num_envs, dtype=bool)
+        info["shaping"], info["_shaping"] = shaping, told
+        if "final_obs" in info:  # it belongs to how those ended, not to how the next began
+            over = info["_final_obs"]
+            info["shaping"] = np.where(over, 0.0, shaping)
+            info.setdefault("final_info", {}).update(
+                shaping=np.where(over, shaping, 0.0), _shaping=over.copy()
+            )
+            info.setdefault("_final_info", over.copy())
         return obs, rewards + shaping, terminated, truncated, info
 
 
@@ -318,8 +329,8 @@ def _potential(
     scale: float,
 ) -> _Potential:
     """Puts the potential together of a shaping wrapper's arguments."""
-    if not (np.isfinite(scale) and scale > 0):
-        raise UsageError(f"scale must be above 0, got {scale}.")
+    if not (isinstance(scale, Real) and np.isfinite(scale) and scale > 0):
+        raise UsageError(f"scale must be a number above 0, got {scale!r}.")
     if goal is not None and goal_columns is None:
         return _Potential(embedding, source, embedding.encode(_goal_state(embedding, goal)), scale)
     if goal_columns is not None and goal is None:
@@ -332,18 +343,21 @@ def _goal_state(embedding: Embedding, goal: Mapping[str, float] | Sequence[float
     if isinstance(goal, Mapping):
         where = embedding.columns_of(tuple(goal))
         goal = [list(goal.values())[c] for c in where]
-    state = np.asarray(goal, dtype=float)
+    try:
+        state = np.asarray(goal, dtype=float)
+    except (TypeError, ValueError):
+        state = np.empty(0)
     if state.shape != (embedding.state_dim,) or not np.isfinite(state).all():
         names = ", ".join(embedding.inputs.names)
         raise UsageError(
-            f"the goal is a finite state of {embedding.state_dim} numbers ({names}), got {goal}."
+            f"the goal is a finite state of {embedding.state_dim} numbers ({names}), got {goal!r}."
         )
     return state
 
 
 def _checked_discount(discount: float) -> float:
-    if not 0 < discount <= 1:
-        raise UsageError(f"discount must be above 0 and at most 1, got {discount}.")
+    if not (isinstance(discount, Real) and 0 < discount <= 1):
+        raise UsageError(f"discount must be a number above 0 and at most 1, got {discount!r}.")
     return discount
 
 
@@ -354,10 +368,12 @@ def _recorded(**arguments: Any) -> dict[str, Any]:
         if isinstance(value, Path):
             return str(value)
         if isinstance(value, Mapping):
-            return dict(value)
-        if isinstance(value, np.ndarray):
+            return {name: plain(v) for name, v in value.items()}
+        if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
-        return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+        return (
+            [plain(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
+        )
 
     return {name: plain(value) for name, value in arguments.items()}
 

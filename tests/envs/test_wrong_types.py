@@ -1,0 +1,62 @@
+"""What a user may well type, seen without the type checks that run in the other tests."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = """
+import json, sys
+import gymnasium, numpy as np
+import planspace
+from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
+
+folder = sys.argv[1]
+embedding = planspace.load_embedding(folder)
+make = lambda **kwargs: gymnasium.make("planspace/CartPoleSwingUp-v0", **kwargs)
+show = lambda **kwargs: PlanSpaceObservation(make(), **{"embedding": folder, **kwargs})
+shape = lambda **kwargs: PlanSpaceShaping(make(), folder, **{"goal": [0.0] * 4, **kwargs})
+many = lambda **kwargs: gymnasium.make_vec(
+    "planspace/CartPole-v0", num_envs=2, vectorization_mode="vector_entry_point", **kwargs
+)
+told = []
+for code in json.loads(sys.argv[2]):
+    try:
+        eval(code)
+        told.append("accepted")
+    except Exception as error:
+        told.append(f"{type(error).__name__}: {error}")
+print(json.dumps(told))
+"""
+
+CASES = {
+    "make(reward=2020)": "UsageError: unknown form of reward of cartpole-swingup 2020.",
+    "make(obs=None)": "UsageError: unknown form of observation None.",
+    "many(autoreset_mode=None)": "UsageError: unknown autoreset mode None.",
+    "show(mode=None)": "UsageError: unknown mode None.",
+    "show(columns=[0.0, 1.0, 2.0, 3.0])": "UsageError: columns are whole numbers, got [0.0, 1.0, 2.0, 3.0].",
+    "show(columns=[True] * 4)": "UsageError: the embedding reads 4 numbers",
+    "show(columns='abcd')": "UsageError: columns are whole numbers, got 'abcd'.",
+    "show(columns=3)": "UsageError: columns are whole numbers, got 3.",
+    "show(columns=list(np.arange(4))).spec.to_json()": "accepted",
+    "show(embedding=folder + '/embedding.json')": "PlanspaceError: ",
+    "show(embedding=None)": "UsageError: an embedding is given by the path of its folder, got None.",
+    "show(embedding=embedding)": "UsageError: an embedding is given by the path of its folder, got Embedd",
+    "embedding.encode(3.0)": "PlanspaceError: the embedding reads states of 4 numbers",
+    "shape(goal='upright')": "UsageError: the goal is a finite state of 4 numbers",
+    "shape(goal=[np.float32(0)] * 4, scale=np.float32(2)).spec.to_json()": "accepted",
+    "shape(scale='1')": "UsageError: scale must be a number above 0, got '1'.",
+    "shape(discount=None)": "UsageError: discount must be a number above 0 and at most 1, got None.",
+    "many().reset(seed=np.int64(3))": "accepted",
+    "make().reset(options={'state': {'hinge': 1}})": "UsageError: a state to start from is numbers",
+    "embedding.encode([0, 1, 0, 0])": "accepted",
+    "np.testing.assert_array_equal(*map(embedding.encode, ([0, 1, 0, 0], [0.0, 1.0, 0.0, 0.0])))": "accepted",
+}
+
+
+def test_each_is_one_clear_line(embedding_folder: Path) -> None:
+    command = [sys.executable, "-c", SCRIPT, str(embedding_folder), json.dumps(list(CASES))]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    for (code, wanted), got in zip(CASES.items(), json.loads(done.stdout), strict=True):
+        assert got.startswith(wanted), f"{code}: {got[:200]}"
+        assert "\n" not in got
