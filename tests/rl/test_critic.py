@@ -1,6 +1,8 @@
+import jax.random as jr
 import numpy as np
 
 from planspace.rl import critic
+from planspace.rl.normalise import ObsStatistics
 
 
 def test_features_by_hand() -> None:
@@ -23,3 +25,30 @@ def test_redundant_features_do_not_break_it(rng: np.random.Generator) -> None:
     returns = 3 * np.sin(angle) + 1
     weights = critic.ridge_regression(x, returns)
     np.testing.assert_allclose(np.einsum("sbf,sf->sb", x, weights), returns, atol=1e-3)
+
+
+def test_the_network_is_fitted_in_its_own_scale(rng: np.random.Generator) -> None:
+    keys = jr.split(jr.key(0), 2)
+    fresh = critic.make_critic("mlp", 3, keys)
+    obs = rng.normal(50.0, 0.01, (2, 2000, 3)).astype(np.float32)
+    step = np.zeros((2, 2000), int)
+    np.testing.assert_array_equal(fresh.values(obs, step), 0.0)  # nothing is known yet
+    returns = 1000 + 3000 * (obs[..., 0] - 50) * np.array([[1.0], [-1.0]])  # each seed its own function
+    fitted = fresh
+    for _ in range(5):
+        fitted = fitted.fitted(obs, step, returns, keys)
+    error = fitted.values(obs, step) - returns
+    assert (np.abs(error).mean(axis=1) < 0.1 * returns.std(axis=1)).all()
+
+
+def test_statistics_in_parts_are_those_of_the_whole(rng: np.random.Generator) -> None:
+    obs = rng.normal([3.0, -1.0], [0.1, 20.0], (2, 300, 2))
+    whole = ObsStatistics.empty(2, 2).with_more(obs)
+    parts = ObsStatistics.empty(2, 2)
+    assert parts(obs) is obs  # nothing seen, nothing changed
+    for part in np.split(obs, [10, 150], axis=1):
+        parts = parts.with_more(part)
+    np.testing.assert_allclose(parts.mean, obs.mean(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(parts.squares, whole.squares, rtol=1e-9)
+    np.testing.assert_allclose(parts(obs).std(axis=1), 1.0, rtol=1e-3)
+    assert np.abs(parts(obs + 1e6)).max() == 10.0

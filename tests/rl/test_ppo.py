@@ -1,0 +1,121 @@
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from planspace.rl import ppo
+from planspace.rl.config import PPOConfig
+from planspace.rl.policy import GaussianPolicy
+
+CONFIG = PPOConfig(minibatch=50, of_steps=True, tolerance=0.0)
+
+
+@pytest.fixture
+def policy() -> GaussianPolicy:
+    return GaussianPolicy(3, 1, key=jr.key(0))
+
+
+@pytest.fixture
+def batch(policy: GaussianPolicy) -> ppo.Batch:
+    obs = jr.normal(jr.key(1), (120, 3))
+    actions = jax.vmap(lambda o, k: policy(o).sample(key=k))(obs, jr.split(jr.key(2), 120))
+    return ppo.Batch(obs, actions, actions[:, 0] * obs[:, 0], policy.log_prob(obs, actions))
+
+
+def run(policy: GaussianPolicy, batch: ppo.Batch, config: PPOConfig, seed: int = 0):
+    adam = ppo.optimiser(config).init(eqx.filter(policy, eqx.is_array))
+    return ppo.update(policy, adam, batch, config, key=jr.key(seed))
+
+
+def test_the_loss_by_hand(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+    # ratios 2 and 0.5, clipped to 1.2 and 0.8, for advantages 1 and -1:
+    # min(2, 1.2), min(-2, -1.2), min(0.5, 0.8), min(-0.5, -0.8): the mean of 1.2, -2, 0.5, -0.8 is -0.275
+    log_ratio = jnp.log(jnp.array([2.0, 2.0, 0.5, 0.5]))
+    four = jax.tree.map(lambda x: x[:4], batch)
+    four = eqx.tree_at(lambda b: b.log_prob, four, four.log_prob - log_ratio)
+    four = eqx.tree_at(lambda b: b.advantages, four, jnp.array([1.0, -1.0, 1.0, -1.0]))
+    assert float(ppo.loss(policy, four, 0.2)) == pytest.approx(0.275, rel=1e-4)
+
+
+def test_an_update_improves(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+    new, _, info = run(policy, batch, CONFIG)
+    assert not info.skipped and float(info.improvement) > 0 and int(info.rounds) == CONFIG.epochs
+    assert float(info.loss) == pytest.approx(float(ppo.loss(new, batch, CONFIG.clip)))
+    probe = jnp.array([1.0, 0.0, 0.0])
+    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # in the direction that was rewarded
+
+
+def test_every_sample_is_seen_once_an_epoch(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+    config = replace(CONFIG, epochs=1, minibatch=50)  # 50, 50 and the 20 that are left
+    steps = []
+    real = ppo.minibatch_step
+
+    def spy(policy, adam, batch, config):
+        steps.append(len(batch.advantages))
+        return real(policy, adam, batch, config)
+
+    ppo.minibatch_step = spy
+    try:
+        run(policy, batch, config)
+    finally:
+        ppo.minibatch_step = real
+    assert sorted(set(steps)) == [20, 50]
+
+
+def test_whole_trajectories_are_samples_too(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+    """All at once, it makes no difference how steps are grouped."""
+    config = replace(CONFIG, minibatch=120)
+    folded = ppo.Batch(
+        batch.obs.reshape(8, 15, 3),
+        batch.actions.reshape(8, 15, 1),
+        batch.advantages.reshape(8, 15),
+        batch.log_prob.reshape(8, 15),
+    )
+    flat, whole = run(policy, batch, config)[0], run(policy, folded, config)[0]
+    np.testing.assert_allclose(ravel_pytree(flat)[0], ravel_pytree(whole)[0], atol=1e-4)
+
+
+def test_it_stops_when_the_loss_does_not_move(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+    _, _, info = run(policy, batch, replace(CONFIG, tolerance=1e3))
+    assert int(info.rounds) == 2  # the first epoch has nothing to be compared with
+    still = eqx.tree_at(lambda b: b.advantages, batch, jnp.zeros(120))
+    assert int(run(policy, still, replace(CONFIG, tolerance=1e-6))[2].rounds) == 2
+
+
+@pytest.mark.parametrize("poison", [jnp.nan, jnp.inf])
+def test_numbers_that_are_not_finite_leave_all_as_it_was(
+    policy: GaussianPolicy, batch: ppo.Batch, poison: float
+) -> None:
+    broken = eqx.tree_at(lambda b: b.advantages, batch, batch.advantages.at[3].set(poison))
+    new, adam, info = run(policy, broken, CONFIG)
+    assert info.skipped
+    assert eqx.tree_equal(new, policy)
+    assert eqx.tree_equal(adam, ppo.optimiser(CONFIG).init(eqx.filter(policy, eqx.is_array)))
+
+
+def test_seeds_beside_each_other_are_single_updates(batch: ppo.Batch) -> None:
+    policies = [GaussianPolicy(3, 1, key=jr.key(s)) for s in range(3)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *policies)
+    together = eqx.filter_vmap(lambda p: run(p, batch, CONFIG)[0])(stacked)
+    for i, single in enumerate(policies):
+        ours = ravel_pytree(jax.tree.map(lambda x, i=i: x[i], together))[0]
+        np.testing.assert_allclose(ours, ravel_pytree(run(single, batch, CONFIG)[0])[0], atol=1e-4)
+
+
+def test_layer_norm_is_the_same_in_numpy(rng: np.random.Generator) -> None:
+    from planspace.rl.mlp import MLP, Stack
+
+    plain, normed = (
+        eqx.filter_vmap(lambda k, n=n: MLP((3, 16, 16, 2), layer_norm=n, key=k))(jr.split(jr.key(0), 2))
+        for n in (False, True)
+    )
+    x = rng.normal(size=(2, 5, 3)).astype(np.float32)
+    for networks in (plain, normed):
+        wanted = eqx.filter_vmap(lambda n, rows: jax.vmap(n)(rows))(networks, jnp.asarray(x))
+        np.testing.assert_allclose(Stack(networks)(x), wanted, atol=1e-5)
+    assert np.abs(Stack(plain)(x) - Stack(normed)(x)).max() > 0.01
