@@ -41,7 +41,7 @@ CASES = {
     "show(columns=list(np.arange(4))).spec.to_json()": "accepted",
     "show(embedding=folder + '/embedding.json')": "PlanspaceError: ",
     "show(embedding=None)": "UsageError: an embedding is given by the path of its folder, got None.",
-    "show(embedding=embedding)": "UsageError: an embedding is given by the path of its folder, got Embedd",
+    "show(embedding=embedding)": "UsageError: an embedding is given by the path of its folder, got ",
     "embedding.encode(3.0)": "PlanspaceError: the embedding reads states of 4 numbers",
     "shape(goal='upright')": "UsageError: the goal is a finite state of 4 numbers",
     "shape(goal=[np.float32(0)] * 4, scale=np.float32(2)).spec.to_json()": "accepted",
