@@ -10,6 +10,7 @@ from planspace.errors import PartialResult, PlanspaceError, UsageError
 
 if TYPE_CHECKING:
     from planspace.demos.dataset import Demos, load_demos
+    from planspace.rl.saved_policy import Policy, load_policy
 
 register_tasks()
 
@@ -18,9 +19,11 @@ __all__ = [
     "Embedding",
     "PartialResult",
     "PlanspaceError",
+    "Policy",
     "UsageError",
     "load_demos",
     "load_embedding",
+    "load_policy",
 ]
 
 
@@ -30,4 +33,8 @@ def __getattr__(name: str) -> Any:
         from planspace.demos import dataset
 
         return getattr(dataset, name)
+    if name in ("Policy", "load_policy"):
+        from planspace.rl import saved_policy
+
+        return getattr(saved_policy, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -108,7 +108,7 @@ def test_seeds_beside_each_other_are_single_updates(batch: ppo.Batch) -> None:
 
 
 def test_layer_norm_is_the_same_in_numpy(rng: np.random.Generator) -> None:
-    from planspace.rl.mlp import MLP, Stack
+    from planspace.rl.mlp import MLP, stacked
 
     plain, normed = (
         eqx.filter_vmap(lambda k, n=n: MLP((3, 16, 16, 2), layer_norm=n, key=k))(jr.split(jr.key(0), 2))
@@ -117,5 +117,5 @@ def test_layer_norm_is_the_same_in_numpy(rng: np.random.Generator) -> None:
     x = rng.normal(size=(2, 5, 3)).astype(np.float32)
     for networks in (plain, normed):
         wanted = eqx.filter_vmap(lambda n, rows: jax.vmap(n)(rows))(networks, jnp.asarray(x))
-        np.testing.assert_allclose(Stack(networks)(x), wanted, atol=1e-5)
-    assert np.abs(Stack(plain)(x) - Stack(normed)(x)).max() > 0.01
+        np.testing.assert_allclose(stacked(networks)(x), wanted, atol=1e-5)
+    assert np.abs(stacked(plain)(x) - stacked(normed)(x)).max() > 0.01

@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from planspace.rl.config import CriticName
-from planspace.rl.mlp import MLP, Stack
+from planspace.rl.mlp import MLP, stacked
 
 RIDGE = 1e-5
 OBS_BOUND = 10.0
@@ -61,7 +61,7 @@ class MLPCritic(eqx.Module):
         self, obs: Float[np.ndarray, "seed sample obs"], step: Int[np.ndarray, "seed sample"]
     ) -> Float[np.ndarray, "seed sample"]:
         """The values of observations; the step does not matter."""
-        output = Stack(self.networks)(self._inputs(obs))[..., 0].astype(np.float64)
+        output = stacked(self.networks)(self._inputs(obs))[..., 0].astype(np.float64)
         return output * self.deviation[:, None] + self.mean[:, None]
 
     def fitted(

@@ -1,4 +1,4 @@
-"""The small tanh network that policies and critics are made of: in JAX to learn, in NumPy to act."""
+"""The small tanh network that policies and critics are made of."""
 
 import equinox as eqx
 import jax
@@ -7,8 +7,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-VARIANCE_FLOOR = 1e-5
-"""Added to the variance in layer normalisation."""
+from planspace.rl.stack import VARIANCE_FLOOR, Stack
 
 
 class MLP(eqx.Module):
@@ -40,21 +39,10 @@ class MLP(eqx.Module):
         return self.weights[-1] @ x + self.biases[-1]
 
 
-class Stack:
-    """Networks with an axis of seeds in NumPy: called once a step, where a JAX call costs more than it."""
-
-    def __init__(self, networks: MLP):
-        """Copies the weights."""
-        self._weights = [np.ascontiguousarray(np.asarray(w).transpose(0, 2, 1)) for w in networks.weights]
-        self._biases = [np.asarray(b)[:, None, :] for b in networks.biases]
-        self._layer_norm = networks.layer_norm
-
-    def __call__(self, x: Float[np.ndarray, "seed row in"]) -> Float[np.ndarray, "seed row out"]:
-        """The output of each network for each of its rows."""
-        for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
-            x = x @ weight + bias
-            if self._layer_norm:
-                x = x - x.mean(axis=-1, keepdims=True)
-                x = x / np.sqrt(np.mean(x**2, axis=-1, keepdims=True) + VARIANCE_FLOOR)
-            x = np.tanh(x)
-        return x @ self._weights[-1] + self._biases[-1]
+def stacked(networks: MLP) -> Stack:
+    """Networks with a leading axis of seeds, in NumPy."""
+    return Stack(
+        [np.asarray(w) for w in networks.weights],
+        [np.asarray(b) for b in networks.biases],
+        layer_norm=networks.layer_norm,
+    )

@@ -1,6 +1,7 @@
 """Observations standardised by what each seed has seen so far."""
 
-import equinox as eqx
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -9,10 +10,10 @@ BOUND = 10.0
 LEAST_VARIANCE = 1e-8
 
 
-class ObsStatistics(eqx.Module):
-    """Count, mean and sum of squared deviations of each number of an observation, for each seed."""
+class ObsStatistics(NamedTuple):
+    """How many, mean and sum of squared deviations of each number of an observation, for each seed."""
 
-    count: Float[np.ndarray, " seed"]
+    num: Float[np.ndarray, " seed"]
     mean: Float[np.ndarray, "seed obs"]
     squares: Float[np.ndarray, "seed obs"]
 
@@ -26,22 +27,22 @@ class ObsStatistics(eqx.Module):
 
         Source: Chan, Golub and LeVeque 1979, the parallel form of the sums.
         """
-        num, obs = obs.shape[1], obs.astype(np.float64)
+        more, obs = obs.shape[1], obs.astype(np.float64)
         mean = obs.mean(axis=1)
         squares = np.sum((obs - mean[:, None]) ** 2, axis=1)
-        total = self.count + num
+        total = self.num + more
         shift = mean - self.mean
-        share = (num / total)[:, None]
+        share = (more / total)[:, None]
         return ObsStatistics(
             total,
             self.mean + shift * share,
-            self.squares + squares + shift**2 * self.count[:, None] * share,
+            self.squares + squares + shift**2 * self.num[:, None] * share,
         )
 
     def __call__(self, obs: Float[np.ndarray, "seed sample obs"]) -> Float[np.ndarray, "seed sample obs"]:
         """The observations, standardised."""
-        if not self.count.any():
+        if not self.num.any():
             return obs
-        deviation = np.sqrt(self.squares / self.count[:, None] + LEAST_VARIANCE)
+        deviation = np.sqrt(self.squares / self.num[:, None] + LEAST_VARIANCE)
         shifted = (obs - self.mean[:, None]) / deviation[:, None]
         return np.clip(shifted, -BOUND, BOUND).astype(obs.dtype)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.envs.batch import TaskBatch
-from planspace.rl.mlp import Stack
+from planspace.rl.mlp import stacked
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
@@ -23,7 +23,7 @@ class Actor:
             columns: what they read of an observation.
             statistics: standardises observations, where that is wanted.
         """
-        self._mean, self._columns, self._statistics = Stack(policies.mean), columns, statistics
+        self._mean, self._columns, self._statistics = stacked(policies.mean), columns, statistics
         self.std = np.exp(np.asarray(policies.log_std))[:, None, :]
 
     def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:

@@ -27,12 +27,15 @@ from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy, UpdateInfo
 from planspace.rl.rollout import Actor, Rollout, collect, episode_returns
+from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.store import Arrays, append_row, open_run, read_arrays, write_arrays
 from planspace.tasks import find_task
 
 CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
 HISTORY = "history.safetensors"
+LAST = 10
+"""Iterations at the end whose mean return says which seed is the best."""
 
 HISTORY_KEYS = (
     "return",
@@ -106,6 +109,7 @@ def train(config: TrainConfig, out: Path, embedding: Embedding | None = None) ->
         "steps": BATCH_STEPS * np.arange(1, config.iterations + 1),
         **{key: np.asarray(value) for key, value in state.history.items()},
     }
+    _save_policies(config, observer, batch, state, out)
     write_arrays(out / HISTORY, history)
     return history
 
@@ -293,6 +297,37 @@ def _init(config: TrainConfig, observer: Observer, batch: TaskBatch) -> _State:
         statistics=ObsStatistics.empty(config.num_seeds, obs.shape[1]),
         history={key: np.full(shape, np.nan) for key in HISTORY_KEYS},
     )
+
+
+def _save_policies(
+    config: TrainConfig, observer: Observer, batch: TaskBatch, state: _State, out: Path
+) -> None:
+    """Leaves the policies, and what makes z, where `load_policy` finds them."""
+    if config.z != "none" and observer.embedding is not None and not (out / EMBEDDING).exists():
+        observer.embedding.save(out / EMBEDDING)
+    mean, columns = state.policies.mean, observer.policy_columns
+    arrays = {f"{n}.weight": np.asarray(w) for n, w in enumerate(mean.weights)}
+    arrays |= {f"{n}.bias": np.asarray(b) for n, b in enumerate(mean.biases)}
+    arrays["log_std"] = np.asarray(state.policies.log_std)
+    if config.learns.normalise_obs:
+        arrays |= state.statistics._asdict()
+    low, high = batch.simulator.control_low, batch.simulator.control_high
+    about = {
+        "task": config.task,
+        "env_id": observer.task.env_id,
+        "obs": config.obs,
+        "z": config.z,
+        "z_to": config.z_to,
+        "num_obs": observer(batch.states[:1], batch.targets[:1]).shape[1],
+        "columns": [columns.start, columns.stop],
+        "layer_norm": mean.layer_norm,
+        "action_low": low.tolist(),
+        "action_high": high.tolist(),
+        "seeds": list(range(config.seed, config.seed + config.num_seeds)),
+        "returns": state.history["return"][-LAST:].mean(axis=0).tolist(),
+        "versions": {"planspace": planspace.__version__},
+    }
+    save_policies(out, arrays, about)
 
 
 def _record(

@@ -1,0 +1,107 @@
+"""Trained policies as one loads them anywhere: NumPy alone; neither JAX nor MuJoCo is imported.
+
+RUN/policies.safetensors   weights [seed, ...] and what standardises observations
+RUN/policies.json          the arm they were trained on, and what each seed earned; sealed
+RUN/embedding/             what makes z, for an arm that has it
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.errors import PlanspaceError, UsageError
+from planspace.rl.normalise import ObsStatistics
+from planspace.rl.stack import Stack
+from planspace.store import Arrays, read_arrays, read_sealed, write_arrays, write_sealed
+
+SCHEMA = 1
+WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """One seed's policy."""
+
+    run: Path
+    """The run it comes from."""
+    about: dict[str, Any]
+    """`task`, `env_id`, `obs`, `z`, `z_to`, `seeds`, `returns` (of each seed, at the end) and `versions`."""
+    seed: int
+    """Which seed."""
+    network: Stack
+    """The mean action, for a seed axis of one."""
+    std: Float[np.ndarray, " action"]
+    """Deviation of the actions it was trained with."""
+    columns: slice
+    """What it reads of an observation."""
+    statistics: ObsStatistics | None
+    """What standardises observations."""
+
+    def __call__(self, obs: Float[np.ndarray, "*batch obs"]) -> Float[np.ndarray, "*batch action"]:
+        """The mean action, within the environment's range.
+
+        Raises:
+            PlanspaceError: the observation has another number of columns than it was trained with.
+        """
+        if obs.shape[-1] != self.about["num_obs"]:
+            raise PlanspaceError(
+                f"the policy was trained on observations of {self.about['num_obs']} numbers "
+                f"({self.about['env_id']}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
+                f"got {obs.shape[-1]}."
+            )
+        rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)
+        rows = rows if self.statistics is None else self.statistics(rows)
+        actions = self.network(rows[..., self.columns])[0]
+        low, high = (np.asarray(self.about[key], np.float32) for key in ("action_low", "action_high"))
+        return np.clip(actions, low, high).reshape(*obs.shape[:-1], len(low)).astype(np.float32)
+
+
+def save_policies(run: Path, arrays: Arrays, about: dict[str, Any]) -> None:
+    """Writes the policies of a run; the description last, and without it there are none."""
+    sha256 = write_arrays(run / WEIGHTS, arrays)
+    write_sealed(run / DESCRIPTION, {"schema": SCHEMA, "kind": "policies", "weights_sha256": sha256, **about})
+
+
+def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy:
+    """Loads a policy that `planspace train` left in its run.
+
+    Args:
+        run: the run's folder.
+        seed: which one; `best` is the one that earned most at the end of training.
+
+    Raises:
+        PlanspaceError: no finished run, altered since it was saved, or written by a newer planspace.
+        UsageError: the run has no such seed.
+    """
+    run = Path(run)
+    if not (run / DESCRIPTION).exists():
+        raise PlanspaceError(
+            f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
+        )
+    about = read_sealed(run / DESCRIPTION)
+    if about.get("kind") != "policies":
+        raise PlanspaceError(f"{run / DESCRIPTION} describes no policies.")
+    if about["schema"] > SCHEMA:
+        raise PlanspaceError(
+            f"{run} was written by a newer planspace (schema {about['schema']}, this one reads up to "
+            f"{SCHEMA}); upgrade planspace."
+        )
+    seeds = about["seeds"]
+    if seed != "best" and seed not in seeds:
+        raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
+    i = int(np.argmax(about["returns"])) if seed == "best" else seeds.index(seed)
+    arrays = {k: v[i : i + 1] for k, v in read_arrays(run / WEIGHTS, sha256=about["weights_sha256"]).items()}
+    layers = range(sum(name.endswith(".weight") for name in arrays))
+    network = Stack(
+        [arrays[f"{n}.weight"] for n in layers],
+        [arrays[f"{n}.bias"] for n in layers],
+        layer_norm=about["layer_norm"],
+    )
+    statistics = None
+    if "num" in arrays:
+        statistics = ObsStatistics(arrays["num"], arrays["mean"], arrays["squares"])
+    std = np.exp(arrays["log_std"][0])
+    return Policy(run, about, seeds[i], network, std, slice(*about["columns"]), statistics)

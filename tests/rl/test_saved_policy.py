@@ -1,0 +1,106 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace import load_policy
+from planspace.cli import main
+from planspace.embed.embedding import Embedding
+from planspace.errors import PlanspaceError, UsageError
+from planspace.rl import train as module
+from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.play import make_env, play
+from planspace.rl.rollout import Actor
+
+ARMS = {
+    "plain": {},
+    "seen": {"obs": "trig", "z": "augment", "preset": "modern", "algo": "ppo"},
+    "critic alone": {"z": "augment", "z_to": "critic"},
+    "z alone": {"z": "replace"},
+    "z alone to the policy": {"z": "replace", "z_to": "policy"},
+}
+
+
+@pytest.fixture(params=ARMS)
+def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) -> tuple[Path, list]:
+    """A short run, and the state it ended with."""
+    config = TrainConfig(
+        "cartpole-swingup", num_seeds=2, seed=4, steps=2 * BATCH_STEPS, **ARMS[request.param]
+    )
+    states, iterate = [], module._iterate
+
+    def spy(*args):
+        states.append(iterate(*args))
+        return states[-1]
+
+    module._iterate = spy
+    try:
+        module.train(config, tmp_path / "run", embedding if config.z != "none" else None)
+    finally:
+        module._iterate = iterate
+    return tmp_path / "run", states
+
+
+def test_it_acts_as_it_did_in_training(run: tuple[Path, list], rng: np.random.Generator) -> None:
+    folder, states = run
+    policies = [load_policy(folder, seed) for seed in (4, 5)]
+    about = policies[0].about
+    obs = rng.normal(size=(2, 7, about["num_obs"])).astype(np.float32)
+    statistics = policies[0].statistics and states[-1].statistics
+    wanted = np.clip(Actor(states[-1].policies, policies[0].columns, statistics).mean(obs), -3, 3)
+    for i, policy in enumerate(policies):
+        np.testing.assert_allclose(policy(obs[i]), wanted[i], atol=1e-5)
+        np.testing.assert_allclose(policy(obs[i, 0]), wanted[i, 0], atol=1e-5)
+    best = load_policy(folder)
+    assert best.seed == 4 + int(np.argmax(about["returns"]))
+
+
+def test_it_plays_in_its_own_environment(run: tuple[Path, list]) -> None:
+    policy = load_policy(run[0], 5)
+    assert make_env(policy).observation_space.shape == (policy.about["num_obs"],)
+    returns, demos = play(policy, 2, seed=3)
+    assert len(demos) == 2 and demos.episode(0).states.shape == (201, 4)
+    again, _ = play(policy, 2, seed=3)
+    np.testing.assert_array_equal(returns, again)
+    # a swing-up pays -3.3 to 1 a step; what was played is what the environment's own reward says
+    assert ((returns > -200 * 4.1) & (returns < 200)).all()
+
+
+def test_the_command_plays_and_films(
+    embedding: Embedding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    module.train(TrainConfig("cartpole", num_seeds=2, steps=1), folder)
+    assert main(["play", str(folder), "--seed", "1", "--episodes", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "seed 1, 2 episodes of planspace/CartPole-v0" in said and "return: mean" in said
+    assert main(["play", str(folder), "--seed", "7"]) == 2
+    assert "has seeds 0 to 1, not 7" in capsys.readouterr().err
+    assert main(["play", str(folder), "--seed", "worst"]) == 2
+    assert main(["play", str(tmp_path)]) == 1
+    assert "holds no policies" in capsys.readouterr().err
+
+
+def test_loading_needs_neither_jax_nor_mujoco(tmp_path: Path) -> None:
+    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path / "run")
+    code = "import sys, numpy, planspace; p = planspace.load_policy(sys.argv[1]); p(numpy.zeros(4)); "
+    code += "print([m for m in ('jax', 'equinox', 'mujoco') if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "run")], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path / "run")
+    policy = load_policy(tmp_path / "run")
+    with pytest.raises(PlanspaceError, match="trained on observations of 4 numbers .*got 6"):
+        policy(np.zeros(6, np.float32))
+    with pytest.raises(UsageError, match="has seeds 0 to 0, not 3"):
+        load_policy(tmp_path / "run", 3)
+    weights = tmp_path / "run" / "policies.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"x")
+    with pytest.raises(PlanspaceError, match="policies.safetensors"):
+        load_policy(tmp_path / "run")
