@@ -104,6 +104,29 @@ def read_sealed(path: Path) -> dict[str, Any]:
     return value
 
 
+def read_described(path: Path, *, kind: str, schema: int, name: str) -> dict[str, Any]:
+    """Reads the sealed description of a folder of ours.
+
+    Args:
+        path: the file.
+        kind: what the file must say that it describes.
+        schema: the newest schema that is known.
+        name: what it describes, for messages.
+
+    Raises:
+        PlanspaceError: altered, of another kind, or written by a newer planspace.
+    """
+    text = read_sealed(path)
+    if text.get("kind") != kind:
+        raise PlanspaceError(f"{path} describes no {name}.")
+    if text["schema"] > schema:
+        raise PlanspaceError(
+            f"{path.parent} was written by a newer planspace (schema {text['schema']}, this one reads up to "
+            f"{schema}); upgrade planspace."
+        )
+    return text
+
+
 def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None = None) -> str:
     """Writes named arrays as one safetensors file.
 

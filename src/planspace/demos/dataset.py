@@ -27,7 +27,7 @@ from planspace.store import (
     json_hash,
     make_folder,
     read_arrays,
-    read_sealed,
+    read_described,
     write_arrays,
     write_sealed,
 )
@@ -321,15 +321,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     file = path / MANIFEST
     if not file.exists():
         raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
-    manifest = read_sealed(file)
-    if manifest.get("kind") != "demos":
-        raise PlanspaceError(f"{file} describes no demo dataset.")
-    if manifest["schema"] > SCHEMA:
-        raise PlanspaceError(
-            f"{path} was written by a newer planspace (schema {manifest['schema']}, this one reads up to "
-            f"{SCHEMA}); upgrade planspace."
-        )
-    return manifest
+    return read_described(file, kind="demos", schema=SCHEMA, name="demo dataset")
 
 
 def _arrays(demos: Demos) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ from planspace.store import (
     Arrays,
     make_folder,
     read_arrays,
-    read_sealed,
+    read_described,
     write_arrays,
     write_sealed,
 )
@@ -356,14 +356,7 @@ def load_embedding(path: str | Path) -> Embedding:
         if path.name == DESCRIPTION and path.exists():
             raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
-    text = read_sealed(path / DESCRIPTION)
-    if text.get("kind") != "embedding":
-        raise PlanspaceError(f"{path / DESCRIPTION} describes no embedding.")
-    if text["schema"] > SCHEMA:
-        raise PlanspaceError(
-            f"{path} was written by a newer planspace (schema {text['schema']}, this one reads up to "
-            f"{SCHEMA}); upgrade planspace."
-        )
+    text = read_described(path / DESCRIPTION, kind="embedding", schema=SCHEMA, name="embedding")
     if text["architecture"] != ARCHITECTURE:
         raise PlanspaceError(
             f"{path / DESCRIPTION} names the architecture {text['architecture']!r}; this planspace knows "

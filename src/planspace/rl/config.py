@@ -143,6 +143,11 @@ class TrainConfig:
         return replace(self, learner=replace(self.learns, **changes))
 
     @property
+    def seeds(self) -> range:
+        """The seeds that are trained."""
+        return range(self.seed, self.seed + self.num_seeds)
+
+    @property
     def iterations(self) -> int:
         """Iterations of `BATCH_STEPS` that make at least `steps`."""
         return -(-self.steps // BATCH_STEPS)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Stack
-from planspace.store import Arrays, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.store import Arrays, read_arrays, read_described, write_arrays, write_sealed
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
@@ -81,14 +81,7 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
         raise PlanspaceError(
             f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
         )
-    about = read_sealed(run / DESCRIPTION)
-    if about.get("kind") != "policies":
-        raise PlanspaceError(f"{run / DESCRIPTION} describes no policies.")
-    if about["schema"] > SCHEMA:
-        raise PlanspaceError(
-            f"{run} was written by a newer planspace (schema {about['schema']}, this one reads up to "
-            f"{SCHEMA}); upgrade planspace."
-        )
+    about = read_described(run / DESCRIPTION, kind="policies", schema=SCHEMA, name="policies")
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")

@@ -143,12 +143,12 @@ def _iterate(
     config: TrainConfig, observer: Observer, batch: TaskBatch, state: _State, iteration: int
 ) -> _State:
     learner, statistics = config.learns, state.statistics
-    seeds = range(config.seed, config.seed + config.num_seeds)
-    rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in seeds]
+    rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in config.seeds]
     num_steps = BATCH_STEPS * config.num_seeds // len(batch.states)
     actor = Actor(state.policies, observer.policy_columns, statistics if learner.normalise_obs else None)
     rollout = collect(batch, observer, actor, num_steps, rngs)
-    obs = statistics(_per_seed(rollout.obs)) if learner.normalise_obs else _per_seed(rollout.obs)
+    seen = _per_seed(rollout.obs)
+    obs = statistics(seen) if learner.normalise_obs else seen
     value, next_value = _values(rollout, observer, state.critic, obs, statistics, learner)
     truncated = rollout.timeout | rollout.cut
     ends = (rollout.terminated, truncated)
@@ -166,7 +166,7 @@ def _iterate(
     returns = _per_seed(discounted_returns(rollout.rewards, next_value, *ends, discount=learner.discount))
     critic = state.critic.fitted(obs[..., observer.critic_columns], _per_seed(rollout.step), returns, keys)
     if learner.normalise_obs:
-        statistics = statistics.with_more(_per_seed(rollout.obs))
+        statistics = statistics.with_more(seen)
     history = _record(state.history, iteration, rollout, info, returns, _per_seed(value))
     return _State(policies, adam, critic, statistics, history)
 
@@ -271,7 +271,7 @@ def _update_ppo(
 
 def _keys(config: TrainConfig, use: int) -> Key[Array, " seed"]:
     """A key for each seed: 0 to draw its networks, 1 + i for iteration i."""
-    keys = [jr.key(seed) for seed in range(config.seed, config.seed + config.num_seeds)]
+    keys = [jr.key(seed) for seed in config.seeds]
     return jnp.stack([jr.fold_in(key, use) if use else key for key in keys])
 
 
@@ -323,7 +323,7 @@ def _save_policies(
         "layer_norm": mean.layer_norm,
         "action_low": low.tolist(),
         "action_high": high.tolist(),
-        "seeds": list(range(config.seed, config.seed + config.num_seeds)),
+        "seeds": list(config.seeds),
         "returns": state.history["return"][-LAST:].mean(axis=0).tolist(),
         "versions": {"planspace": planspace.__version__},
     }
