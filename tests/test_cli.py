@@ -117,7 +117,7 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
     assert code == 0 and "--steps 4001 rounded up to 8000" in err
-    assert "return of the last iteration: mean -" in out
+    assert "return, last iteration  mean " in out and "return, evaluation      mean " in out
 
 
 def test_recordings_come_in_and_go_out_as_csv(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -17,9 +17,10 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from planspace.embed.config import Metric, ObjectiveName, PresetName
 from planspace.embed.embedding import InputForm
-from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.errors import PartialResult, PlanspaceError, UsageError, unknown
 from planspace.forms import ObsForm
 from planspace.rl.config import Algo, CriticName, RLPreset, ZMode, ZTarget
+from planspace.track import TrackerName
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 PRESETS_OWN = "(default: the preset's)"
@@ -47,6 +48,8 @@ class Run:
         summary = run(self.task, self.budget, out, self.seed)
         print(closing_table(summary))
         print(f"\nreport           {out / 'report.html'}")
+        if summary["diverged"]:
+            raise PartialResult(f"numbers that are not finite: {'; '.join(summary['diverged'])}.")
 
 
 @dataclass(frozen=True)
@@ -156,8 +159,8 @@ class DemosPlot:
         """Draws it."""
         from planspace.demos.dataset import load_demos
         from planspace.demos.plot import plot_demos
+        from planspace.figure import save_figure
         from planspace.store import make_folder
-        from planspace.study.figures import save_figure
 
         print(save_figure(plot_demos(load_demos(self.folder)), make_folder(self.out), "demos"))
 
@@ -443,8 +446,9 @@ class Train:
     """augment: the observation and z. replace: z alone."""
     z_to: ZTarget = "both"
     """Who sees z."""
-    embedding: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """What makes z; needed where there is z."""
+    embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
+    """What makes z; needed where there is z. Several are taken in turn: seed s takes number s modulo how many
+    there are, so that the spread over seeds is that over embeddings as well."""
     seeds: Annotated[int, arg(metavar="N")] = 5
     """How many seeds."""
     steps: Annotated[int, arg(metavar="N")] = 960_000
@@ -455,32 +459,79 @@ class Train:
     """linear: ridge regression on simple features. mlp: two layers of 32 units."""
     hidden: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
     """Units of the policy's hidden layers: a wider policy is a control for what z adds."""
+    match_z: Annotated[int, arg(metavar="N")] = 0
+    """Make policy and mlp critic so wide that they have as many parameters as with z of N numbers."""
     layer_norm: bool = False
     """Normalise the policy's hidden layers: another control."""
+    eval_every: Annotated[int, arg(metavar="N")] = 25
+    """Iterations (of 4000 steps) between evaluations by deterministic episodes; 0: at the end alone."""
+    track: UseAppendAction[Annotated[tuple[TrackerName, ...], arg(metavar="{tensorboard,wandb}")]] = ()
+    """Show the curves there, too (extra `track`): TensorBoard in DIR/tensorboard; Weights & Biases, offline
+    in DIR/wandb where nobody is logged in. history.safetensors and log.jsonl have them always."""
 
     def __call__(self) -> None:
         """Trains and prints the returns at the end."""
         from planspace.embed.embedding import load_embedding
+        from planspace.figure import save_figure
         from planspace.rl.config import BATCH_STEPS, TrainConfig
-        from planspace.rl.train import train
+        from planspace.rl.curves import learning_curve, plot_curves
+        from planspace.rl.train import frozen_seeds, train
         from planspace.tasks import TASKS
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
-        config = TrainConfig(
-            self.task, self.algo, self.obs, self.z, self.z_to, self.seeds, self.seed, self.steps, self.preset
-        )
-        chosen = {"critic": self.critic, "hidden": self.hidden, "layer_norm": self.layer_norm or None}
+        arm = self.task, self.algo, self.obs, self.z, self.z_to
+        config = TrainConfig(*arm, self.seeds, self.seed, self.steps, self.eval_every, self.preset)
+        chosen = {
+            "critic": self.critic,
+            "hidden": self.hidden,
+            "match_z": self.match_z or None,
+            "layer_norm": self.layer_norm or None,
+        }
         if changes := {name: value for name, value in chosen.items() if value is not None}:
             config = config.learning(**changes)
         rounded = config.iterations * BATCH_STEPS
         if rounded != self.steps:
             print(f"--steps {self.steps} rounded up to {rounded}", file=sys.stderr)
-        embedding = load_embedding(self.embedding) if self.embedding else None
-        history = train(config, self.out, embedding)
-        last = history["return"][-1]
-        spread = f"worst {last.min():.1f}, best {last.max():.1f}"
-        print(f"return of the last iteration: mean {last.mean():.1f}, {spread}")
+        embeddings = [load_embedding(folder) for folder in self.embedding]
+        history = train(config, self.out, embeddings, self.track)
+        for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
+            last = returns[-1]
+            spread = f"worst {last.min():8.1f}   best {last.max():8.1f}"
+            print(f"return, {name:<16}mean {last.mean():8.1f}   {spread}")
+        print(
+            save_figure(plot_curves({self.out.name: learning_curve(history)}, self.task), self.out, "curve")
+        )
+        if frozen := frozen_seeds(config, history):
+            raise PartialResult(
+                f"{frozen}: numbers that are not finite. Each was frozen with the policy it had; the others "
+                "went on, and everything is saved."
+            )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Draw the learning curves of runs into one figure, as the paper does."""
+
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Where curves.png and curves.svg go."""
+    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]] = ()
+    """Folders of `planspace train`. Line: mean over seeds of returns smoothed over 10 iterations. Band:
+    second worst to second best seed. Dashed: the run with the highest smoothed return at any point."""
+    title: str = ""
+    """Above the figure."""
+
+    def __call__(self) -> None:
+        """Draws them."""
+        from planspace.figure import save_figure
+        from planspace.rl.curves import learning_curve, plot_curves
+        from planspace.rl.train import load_history
+        from planspace.store import make_folder
+
+        if not self.runs:
+            raise UsageError("which runs? Give folders that `planspace train` made.")
+        curves = {str(run): learning_curve(load_history(run)) for run in self.runs}
+        print(save_figure(plot_curves(curves, self.title), make_folder(self.out), "curves"))
 
 
 @dataclass(frozen=True)
@@ -490,7 +541,7 @@ class Play:
     run: Positional[Annotated[Path, arg(metavar="RUN")]]
     """The folder of a `planspace train`."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
-    """Which of its seeds; best: the one that earned most at the end of training."""
+    """Which of its seeds; best: the one that earned most in the last evaluation."""
     episodes: Annotated[int, arg(metavar="N")] = 10
     """How many episodes."""
     start_seed: int = 1000
@@ -557,6 +608,7 @@ Command = (
     | Annotated[Measure, subcommand("measure")]
     | Annotated[Export, subcommand("export")]
     | Annotated[Train, subcommand("train")]
+    | Annotated[Curves, subcommand("curves")]
     | Annotated[Play, subcommand("play")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]

@@ -138,7 +138,7 @@ def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None 
     Returns:
         The SHA-256 of the file.
     """
-    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     metadata = {"about": json.dumps(about, sort_keys=True)} if about is not None else None
     data = safetensors.numpy.save(contiguous, metadata=metadata)
     write_bytes(path, data)

@@ -1,15 +1,25 @@
-"""Curves for TensorBoard (extra `track`): the package `tensorboard` alone, neither TensorFlow nor PyTorch."""
+"""Curves for TensorBoard and Weights & Biases (extra `track`).
+
+TensorBoard takes the package `tensorboard` alone, neither TensorFlow nor PyTorch. Weights & Biases is never
+asked to log anyone in: without credentials its run stays in the folder, to be sent by `wandb sync`.
+"""
 
 import contextlib
+import hashlib
+import netrc
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 from planspace.errors import PlanspaceError
 from planspace.store import make_folder
+
+TrackerName = Literal["tensorboard", "wandb"]
+AddScalars = Callable[[int, Mapping[str, float]], None]
+"""Writes numbers by name that belong to one step."""
 
 FILE_VERSION = "brain.Event:2"
 """The format; every event file begins with it."""
@@ -88,3 +98,79 @@ def open_tracker(folder: Path) -> Tracker:
         ) from error
     path = make_folder(folder) / f"events.out.tfevents.{time.time_ns()}.{os.getpid()}"  # read in this order
     return Tracker(path, open(path, "xb"), event_pb2, RecordWriter)
+
+
+class WandbTracker:
+    """Sends the scalars of a run to Weights & Biases, or keeps them in the folder; see `open_wandb`."""
+
+    def __init__(self, run: Any):
+        """Takes a run that has begun."""
+        self._run = run
+
+    def add(self, step: int, scalars: Mapping[str, float]) -> None:
+        """Writes numbers that belong to one step; Weights & Biases drops those of a step it has already."""
+        self._run.log(dict(scalars), step=step)
+
+    def close(self) -> None:
+        """Ends the run."""
+        self._run.finish()
+
+
+def open_wandb(folder: Path) -> WandbTracker:
+    """Begins or continues the run of a folder.
+
+    Raises:
+        PlanspaceError: the package `wandb` is missing, or the folder cannot be written.
+    """
+    try:
+        import wandb
+    except ImportError as error:
+        raise PlanspaceError(
+            "Weights & Biases needs the package wandb: pip install 'planspace[track]'."
+        ) from error
+    make_folder(folder)
+    mode = None if "WANDB_MODE" in os.environ or _has_wandb_credentials() else "offline"
+    run = wandb.init(
+        project="planspace",
+        name=folder.name,
+        id=hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12],
+        resume="allow",
+        dir=folder,
+        mode=mode,
+        settings=wandb.Settings(silent=mode == "offline", console="off", disable_git=True, save_code=False),
+    )
+    return WandbTracker(run)
+
+
+def _has_wandb_credentials() -> bool:
+    if os.environ.get("WANDB_API_KEY"):
+        return True
+    try:
+        return netrc.netrc().authenticators("api.wandb.ai") is not None
+    except (OSError, netrc.NetrcParseError):
+        return False
+
+
+@contextlib.contextmanager
+def open_trackers(names: Sequence[TrackerName], folder: Path) -> Iterator[AddScalars]:
+    """Opens what shows a run's curves: TensorBoard in `folder`/tensorboard, Weights & Biases in `folder`.
+
+    Args:
+        names: which of them; none is fine.
+        folder: the run's.
+
+    Raises:
+        PlanspaceError: a package is missing, or the folder cannot be written.
+    """
+    openers = {
+        "tensorboard": lambda: open_tracker(folder / "tensorboard"),
+        "wandb": lambda: open_wandb(folder),
+    }
+    with contextlib.ExitStack() as stack:
+        trackers = [stack.enter_context(contextlib.closing(openers[name]())) for name in dict.fromkeys(names)]
+
+        def add(step: int, scalars: Mapping[str, float]) -> None:
+            for tracker in trackers:
+                tracker.add(step, scalars)
+
+        yield add

@@ -37,7 +37,7 @@ def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) ->
 
     module._iterate = spy
     try:
-        module.train(config, tmp_path / "run", embedding if config.z != "none" else None)
+        module.train(config, tmp_path / "run", [embedding])
     finally:
         module._iterate = iterate
     return tmp_path / "run", states
@@ -48,8 +48,10 @@ def test_it_acts_as_it_did_in_training(run: tuple[Path, list], rng: np.random.Ge
     policies = [load_policy(folder, seed) for seed in (4, 5)]
     about = policies[0].about
     obs = rng.normal(size=(2, 7, about["num_obs"])).astype(np.float32)
-    statistics = policies[0].statistics and states[-1].statistics
-    wanted = np.clip(Actor(states[-1].policies, policies[0].columns, statistics).mean(obs), -3, 3)
+    learners = states[-1].learners
+    statistics = policies[0].statistics and [x.statistics for x in learners]
+    actor = Actor([x.policy for x in learners], policies[0].columns, statistics)
+    wanted = np.clip(actor.mean(obs), -3, 3)
     for i, policy in enumerate(policies):
         np.testing.assert_allclose(policy(obs[i]), wanted[i], atol=1e-5)
         np.testing.assert_allclose(policy(obs[i, 0]), wanted[i, 0], atol=1e-5)

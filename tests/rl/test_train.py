@@ -1,5 +1,7 @@
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,17 +10,19 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from planspace.embed.embedding import Embedding
+from planspace import load_policy
+from planspace.cli import main
+from planspace.embed.embedding import Embedding, load_embedding
 from planspace.envs.batch import TaskBatch
 from planspace.errors import PlanspaceError, UsageError
-from planspace.rl import critic
 from planspace.rl import train as module
-from planspace.rl.config import BATCH_STEPS, LearnerConfig, TrainConfig
-from planspace.rl.normalise import ObsStatistics
+from planspace.rl.config import BATCH_STEPS, Algo, PPOConfig, RLPreset, TrainConfig
+from planspace.rl.critic import LinearCritic, MLPCritic, features
+from planspace.rl.learner import learn, make_learner, matched, values
 from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
-from planspace.rl.rollout import Actor, Rollout, collect, episode_returns
-from planspace.rl.train import train
+from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first_returns
+from planspace.rl.train import load_history, train
 from planspace.tasks import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
@@ -27,11 +31,11 @@ SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
 def fixed_actor(num_seeds: int, num_obs: int, std: float = 1.0) -> Actor:
     zero = jax.tree.map(jnp.zeros_like, GaussianPolicy(num_obs, 1, key=jr.key(0)))
     zero = eqx.tree_at(lambda p: p.log_std, zero, jnp.full(1, np.log(std)))
-    return Actor(jax.tree.map(lambda x: jnp.stack([x] * num_seeds), zero), slice(None))
+    return Actor([zero] * num_seeds, slice(None))
 
 
 def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout:
-    observer = Observer(task, "raw", "none", "both", None)
+    observer = Observer(task, "raw", "none", "both")
     batch = TaskBatch(task, num_envs * len(seeds))
     rngs = [np.random.default_rng(s) for s in seeds]
     return collect(batch, observer, fixed_actor(len(seeds), len(task.obs_fields)), num_steps, rngs)
@@ -90,8 +94,8 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
         train(SWING_UP, tmp_path / "cut")
     cut = train(SWING_UP, tmp_path / "cut")
     assert calls == [0, 1, 2, 2]  # the iteration that was cut off is done again, nothing else
-    for key, values in whole.items():
-        np.testing.assert_array_equal(values, cut[key])
+    for key, expected in whole.items():
+        np.testing.assert_array_equal(expected, cut[key])
     assert len((tmp_path / "cut" / "log.jsonl").read_text().splitlines()) == 3
 
 
@@ -108,7 +112,7 @@ def test_a_finished_run_is_returned_and_another_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("z", ["augment", "replace"])
 def test_z_goes_where_it_is_sent(embedding: Embedding, z: str, z_to: str, rng: np.random.Generator) -> None:
     task = TASKS["cartpole-swingup"]
-    observer = Observer(task, "trig", z, z_to, embedding)  # pyright: ignore
+    observer = Observer(task, "trig", z, z_to, (embedding,))  # pyright: ignore
     states, targets = task.sample_starts(5, rng)
     obs = observer(states, targets)
     own, latent = task.observe_as("trig", states, targets), embedding.encode(states)
@@ -121,14 +125,14 @@ def test_z_goes_where_it_is_sent(embedding: Embedding, z: str, z_to: str, rng: n
 
 def test_arms_with_z_train(embedding: Embedding, tmp_path: Path) -> None:
     config = replace(SWING_UP, obs="trig", z="augment", z_to="policy", steps=BATCH_STEPS)
-    assert np.isfinite(train(config, tmp_path / "run", embedding)["return"]).all()
+    assert np.isfinite(train(config, tmp_path / "run", [embedding])["return"]).all()
 
 
 def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="z is 'augment', which needs an embedding"):
         train(replace(SWING_UP, z="augment"), tmp_path / "a")
     with pytest.raises(UsageError, match=r"task reacher-raw: .*reads .*\(slider, .*these have 4 \(joint0"):
-        train(replace(SWING_UP, task="reacher-raw", z="replace"), tmp_path / "b", embedding)
+        train(replace(SWING_UP, task="reacher-raw", z="replace"), tmp_path / "b", [embedding])
     with pytest.raises(UsageError, match="must be at least 1, got 0 and"):
         replace(SWING_UP, num_seeds=0)
     assert list(tmp_path.iterdir()) == []
@@ -136,14 +140,155 @@ def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> N
 
 def test_the_bootstrap_is_the_critics_value_where_the_record_is_cut() -> None:
     task = TASKS["cartpole"]
-    rollout = roll(task, 4, [0, 1], 20)
-    observer = Observer(task, "raw", "none", "both", None)
-    weights = np.random.default_rng(0).normal(size=(2, 12))
-    obs, linear = module._per_seed(rollout.obs), critic.LinearCritic(weights)
-    statistics, learner = ObsStatistics.empty(2, 4), LearnerConfig()
-    value, next_value = module._values(rollout, observer, linear, obs, statistics, learner)
-    for t, s, e in zip(*np.nonzero(rollout.cut), strict=True):
-        x = critic.features(rollout.next_obs[t, s, e], np.array(rollout.step[t, s, e] + 1))
-        assert next_value[t, s, e] == pytest.approx(x @ weights[s])
+    rollout = roll(task, 4, [0, 1], 20).of_seed(1)
+    observer = Observer(task, "raw", "none", "both")
+    weights = np.random.default_rng(0).normal(size=12)
+    learner = make_learner(SWING_UP, observer, 1, key=jr.key(0))
+    learner = eqx.tree_at(lambda x: x.critic, learner, LinearCritic(weights))
+    value, next_value = values(learner, rollout, observer, SWING_UP)
+    for t, e in zip(*np.nonzero(rollout.cut), strict=True):
+        x = features(rollout.next_obs[t, e], np.array(rollout.step[t, e] + 1))
+        assert next_value[t, e] == pytest.approx(x @ weights)
     inner = ~(rollout.terminated | rollout.cut)[:-1]
     np.testing.assert_array_equal(next_value[:-1][inner], value[1:][inner])
+
+
+ALL_ARMS = [("trpo", "paper"), ("trpo", "modern"), ("ppo", "paper"), ("ppo", "modern")]
+
+
+@pytest.mark.parametrize(("algo", "preset"), ALL_ARMS)
+def test_a_seed_learns_the_same_alone_and_beside_others(
+    algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BATCH_STEPS", 1000)  # its episodes end at different times
+    config = TrainConfig("cartpole", algo, preset=preset, num_seeds=5, steps=3 * BATCH_STEPS)
+    beside = train(config, tmp_path / "beside")
+    alone = train(replace(config, seed=3, num_seeds=1), tmp_path / "alone")
+    for key in (*module.HISTORY_KEYS, module.EVALUATION):
+        np.testing.assert_array_equal(beside[key][:, 3], alone[key][:, 0])  # bit for bit
+    assert (beside["return"][:, 2] != beside["return"][:, 3]).all()
+
+
+@pytest.mark.parametrize(("algo", "preset"), [("trpo", "paper"), ("ppo", "modern")])
+def test_from_every_checkpoint_on_it_ends_the_same(
+    algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BATCH_STEPS", 1000)
+    monkeypatch.setattr(module, "CHECKPOINT_EVERY", 1)
+    copies, save = [], module.save_checkpoint
+
+    def keep(folder: Path, tree: object, about: dict) -> None:
+        save(folder, tree, about)
+        copies.append(tmp_path / f"after-{about['iteration']}")
+        shutil.copytree(folder, copies[-1])
+
+    monkeypatch.setattr(module, "save_checkpoint", keep)
+    config = TrainConfig("cartpole", algo, preset=preset, num_seeds=2, steps=4 * BATCH_STEPS, eval_every=2)
+    whole = train(config, tmp_path / "whole")
+    policies = (tmp_path / "whole" / "policies.safetensors").read_bytes()
+    monkeypatch.setattr(module, "save_checkpoint", save)
+    assert len(copies) == 4
+    for copy in copies:
+        resumed = train(config, copy)
+        for key, expected in whole.items():
+            np.testing.assert_array_equal(resumed[key], expected)
+        assert (copy / "policies.safetensors").read_bytes() == policies
+
+
+def test_evaluations_are_apart_from_training(tmp_path: Path) -> None:
+    config = replace(SWING_UP, steps=5 * BATCH_STEPS, num_seeds=2)
+    often = train(replace(config, eval_every=2), tmp_path / "often")
+    assert often["eval_steps"].tolist() == [2 * BATCH_STEPS, 4 * BATCH_STEPS, 5 * BATCH_STEPS]
+    assert np.isfinite(often["eval_return"]).all()
+    never = train(replace(config, eval_every=0), tmp_path / "never")
+    assert never["eval_steps"].tolist() == [5 * BATCH_STEPS]
+    for key in module.HISTORY_KEYS:
+        np.testing.assert_array_equal(often[key], never[key])
+    np.testing.assert_array_equal(often["eval_return"][-1], never["eval_return"][-1])
+
+
+def test_an_evaluation_counts_the_first_episode_of_each_environment() -> None:
+    rollout = roll(TASKS["cartpole"], 4, [0, 1], 100)
+    ends = [[np.flatnonzero(rollout.terminated[:, s, e])[0] + 1 for e in range(4)] for s in range(2)]
+    np.testing.assert_array_equal(first_returns(rollout), np.mean(ends, axis=1))  # one reward a step
+
+
+def test_a_seed_that_diverges_is_frozen_and_the_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "BATCH_STEPS", 1000)
+    arguments = ["train", "cartpole", "--seeds", "3", "--steps", "16000"]
+    assert main([*arguments, "--out", str(tmp_path / "sound")]) == 0
+    collected, calls = module.collect, []
+
+    def poisoned(*args: Any, **kwargs: Any) -> Rollout:
+        rollout = collected(*args, **kwargs)
+        calls.append(None)
+        if len(calls) == 3:
+            rollout.rewards[5, 1, 2] = np.inf
+        return rollout
+
+    monkeypatch.setattr(module, "collect", poisoned)
+    assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3
+    assert "seed 1 diverged in iteration 3: numbers that are not finite" in capsys.readouterr().err
+    sound, frozen = load_history(tmp_path / "sound"), load_history(tmp_path / "poisoned")
+    np.testing.assert_array_equal(frozen["frozen"][:, 1], [0, 0, 1, 1])
+    assert not frozen["frozen"][:, [0, 2]].any()
+    for key in set(module.HISTORY_KEYS) - {"frozen"}:
+        np.testing.assert_array_equal(frozen[key][:, [0, 2]], sound[key][:, [0, 2]])
+    assert np.isfinite(frozen["return"][3, 1]) and frozen["skipped"][3, 1] == 1
+    assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # the finished run says so again
+
+
+def test_an_update_of_ppo_that_is_not_finite_freezes_the_seed() -> None:
+    config = TrainConfig("cartpole", "ppo").learning(ppo=PPOConfig(learning_rate=1e30))
+    rollout = roll(TASKS["cartpole"], 4, [0], 20).of_seed(0)
+    observer = Observer(TASKS["cartpole"], "raw", "none", "both")
+    learner = make_learner(config, observer, 1, key=jr.key(0))
+    advantages = np.random.default_rng(0).normal(size=(20, 4))
+    new, numbers = learn(learner, rollout, advantages, advantages, observer, config, key=jr.key(1))
+    assert new.frozen and numbers["skipped"] == 1
+    assert eqx.tree_equal(new.policy, learner.policy)
+
+
+def test_embeddings_are_taken_in_turn(embedding: Embedding, tmp_path: Path) -> None:
+    other = replace(embedding, encoder=(embedding.encoder[0], [-b for b in embedding.encoder[1]]))
+    assert other.hash != embedding.hash
+    config = replace(SWING_UP, z="augment", steps=BATCH_STEPS, num_seeds=3, seed=1)
+    mixed = train(config, tmp_path / "mixed", [embedding, other])
+    for i, used in enumerate((other, embedding, other)):  # seeds 1, 2 and 3
+        alone = train(replace(config, seed=1 + i, num_seeds=1), tmp_path / f"alone-{i}", [used])
+        np.testing.assert_array_equal(mixed["return"][:, i], alone["return"][:, 0])
+    assert load_policy(tmp_path / "mixed", 2).embedding == tmp_path / "mixed" / "embedding-0"
+    assert load_embedding(load_policy(tmp_path / "mixed", 3).embedding).hash == other.hash
+    with pytest.raises(UsageError, match="3 embeddings are too many for 2 seeds"):
+        train(replace(config, num_seeds=2), tmp_path / "few", [embedding] * 3)
+    with pytest.raises(PlanspaceError, match="embeddings was"):
+        train(config, tmp_path / "mixed", [other, embedding])
+
+
+def test_a_wider_network_has_as_many_parameters() -> None:
+    # 4 -> 32 -> 32 -> 1: 5 * 32 + 33 * 32 + 33 = 1249; with ten more inputs 1569;
+    # 4 -> 36 -> 36 -> 1: 180 + 1332 + 37 = 1549 is too few; 37: 185 + 1406 + 38 = 1629
+    assert matched((32, 32), 4, 14, 1) == (37, 37)
+    assert matched((32, 32), 4, 4, 1) == (32, 32)
+    observer = Observer(TASKS["cartpole"], "raw", "none", "both")
+    config = TrainConfig("cartpole", "ppo").learning(match_z=10)
+    learner = make_learner(config, observer, 1, key=jr.key(0))
+    assert isinstance(learner.critic, MLPCritic)
+    for network in (learner.policy.mean, learner.critic.network):
+        assert sum(x.size for x in jax.tree.leaves(network)) == 1629
+
+
+def test_curves_are_tracked(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    history = train(replace(SWING_UP, eval_every=2), tmp_path / "run", track=("tensorboard",))
+    accumulator = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    accumulator.Reload()
+    returns = [(e.step, e.value) for e in accumulator.Scalars("return/seed 1")]
+    assert returns == [(4000 * (i + 1), np.float32(history["return"][i, 1])) for i in range(3)]
+    evaluations = [(e.step, e.value) for e in accumulator.Scalars("eval_return/seed 0")]
+    expected = zip(history["eval_steps"], history["eval_return"][:, 0], strict=True)
+    assert evaluations == [(n, np.float32(x)) for n, x in expected]

@@ -104,8 +104,7 @@ def test_seeds_beside_each_other_are_single_updates(batch: tuple) -> None:
 
 def test_the_actor_is_the_policy(rng: np.random.Generator) -> None:
     policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(2)]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *policies)
     obs = rng.normal(size=(2, 5, 3)).astype(np.float32)
-    means = Actor(stacked, slice(None)).mean(obs)
+    means = Actor(policies, slice(None)).mean(obs)
     for s, policy in enumerate(policies):
         np.testing.assert_allclose(means[s], jax.vmap(lambda o, p=policy: p(o).mu)(obs[s]), atol=1e-5)

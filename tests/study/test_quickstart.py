@@ -2,12 +2,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError
 from planspace.study import quickstart as module
-from planspace.study.figures import SMOOTHING, learning_curve, smoothed
 from planspace.study.quickstart import BUDGETS, closing_table, rebuild, run
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
@@ -93,18 +91,3 @@ def test_a_folder_of_another_kind_is_no_run(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(PlanspaceError, match="is not the folder of a `planspace run`"):
         rebuild(tmp_path)
-
-
-def test_smoothing_by_hand() -> None:
-    returns = np.arange(12.0)[:, None]
-    # at first the mean of what there is, then of the last ten
-    expected = [np.mean(returns[max(0, i - SMOOTHING + 1) : i + 1]) for i in range(12)]
-    np.testing.assert_allclose(smoothed(returns)[:, 0], expected)
-
-
-def test_the_curve_is_the_papers() -> None:
-    returns = np.tile([5.0, 1.0, 4.0, 2.0, 3.0], (4, 1))
-    returns[2, 1] = 100.0  # the second seed reaches the highest value, at one step
-    curve = learning_curve({"return": returns, "steps": np.arange(4)})
-    assert (curve.mean[0], curve.low[0], curve.high[0]) == (3.0, 2.0, 4.0)
-    np.testing.assert_allclose(curve.best, smoothed(returns)[:, 1])

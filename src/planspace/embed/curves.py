@@ -12,10 +12,9 @@ from jaxtyping import Float
 
 from planspace.embed.embedding import LOG
 from planspace.errors import PlanspaceError
+from planspace.figure import COLOURS
 from planspace.store import read_bytes
 
-COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33", "#775533", "#888888")
-"""Told apart by colour-blind readers (after Paul Tol)."""
 WINDOW_SHARE, MIN_WINDOW = 0.05, 3
 """Rows of the log in the rolling mean: a share of all, and at least so many."""
 CURVES = (

@@ -61,9 +61,14 @@ class LearnerConfig:
     gae_lambda: float = 0.98
     """lambda of the advantage estimate."""
     critic: CriticName = "linear"
-    """`linear` features and ridge regression, or an `mlp` of 2 x 32 tanh units."""
+    """`linear` features and ridge regression, or an `mlp` with tanh units."""
     hidden: tuple[int, ...] = (32, 32)
     """Units of the policy's hidden layers (paper, RL performance)."""
+    critic_hidden: tuple[int, ...] = (32, 32)
+    """Units of the hidden layers of an `mlp` critic."""
+    match_z: int = 0
+    """Makes policy and `mlp` critic so wide that they have as many parameters as with z of so many numbers
+    beside the observation: a control for what z adds."""
     layer_norm: bool = False
     """Whether the policy's hidden layers are normalised."""
     normalise_obs: bool = False
@@ -119,6 +124,8 @@ class TrainConfig:
     """The first of them."""
     steps: int = 960_000
     """Environment steps a seed; rounded up to whole iterations."""
+    eval_every: int = 25
+    """Iterations between evaluations by deterministic episodes; 0 evaluates at the end alone."""
     preset: RLPreset = "paper"
     """Where `learner` comes from."""
     learner: LearnerConfig | None = None
@@ -128,8 +135,10 @@ class TrainConfig:
         """Checks the sizes.
 
         Raises:
-            UsageError: fewer than one seed or step.
+            UsageError: fewer than one seed or step, or less than none between evaluations.
         """
+        if self.eval_every < 0:
+            raise UsageError(f"evaluations must not be less than 0 iterations apart, got {self.eval_every}.")
         if self.num_seeds < 1 or self.steps < 1:
             raise UsageError(f"seeds and steps must be at least 1, got {self.num_seeds} and {self.steps}.")
 
@@ -146,6 +155,12 @@ class TrainConfig:
     def seeds(self) -> range:
         """The seeds that are trained."""
         return range(self.seed, self.seed + self.num_seeds)
+
+    @property
+    def evaluations(self) -> tuple[int, ...]:
+        """Iterations after which the policies are evaluated: every `eval_every`, and the last."""
+        due = range(self.eval_every, self.iterations, self.eval_every) if self.eval_every else ()
+        return (*due, self.iterations)
 
     @property
     def iterations(self) -> int:

@@ -1,4 +1,4 @@
-"""Critics: what is still to be earned from an observation on, for all seeds at once.
+"""Critics: what is still to be earned from an observation on.
 
 `LinearCritic` is the baseline of the 2020 TRPO runs, `MLPCritic` stands for that of their PPO runs. Both are
 fitted anew, after the policy's update, to the discounted returns of the iteration.
@@ -17,7 +17,6 @@ from planspace.rl.mlp import MLP, stacked
 
 RIDGE = 1e-5
 OBS_BOUND = 10.0
-MLP_HIDDEN = (32, 32)
 MLP_EPOCHS, MLP_MINIBATCH, MLP_RATE = 10, 500, 1e-3
 """The 2020 runs fitted theirs by L-BFGS under a KL penalty; ours takes as many passes as PPO does."""
 
@@ -28,79 +27,74 @@ class LinearCritic(eqx.Module):
     In NumPy and float64: with sin and cos among the observations the normal equations have condition 6e10.
     """
 
-    weights: Float[np.ndarray, "seed feature"]
+    weights: Float[np.ndarray, " feature"]
 
     def values(
-        self, obs: Float[np.ndarray, "seed sample obs"], step: Int[np.ndarray, "seed sample"]
-    ) -> Float[np.ndarray, "seed sample"]:
+        self, obs: Float[np.ndarray, "*batch obs"], step: Int[np.ndarray, "*batch"]
+    ) -> Float[np.ndarray, "*batch"]:
         """The values of observations at steps within their episodes."""
-        return np.einsum("snf,sf->sn", features(obs, step), self.weights, optimize=True)
+        return features(obs, step) @ self.weights
 
     def fitted(
         self,
-        obs: Float[np.ndarray, "seed sample obs"],
-        step: Int[np.ndarray, "seed sample"],
-        returns: Float[np.ndarray, "seed sample"],
-        keys: Key[Array, " seed"],
+        obs: Float[np.ndarray, "sample obs"],
+        step: Int[np.ndarray, " sample"],
+        returns: Float[np.ndarray, " sample"],
+        *,
+        key: Key[Array, ""],
     ) -> "LinearCritic":
         """Fitted to these returns."""
         return LinearCritic(ridge_regression(features(obs, step), returns))
 
 
 class MLPCritic(eqx.Module):
-    """A network of 2 x 32 tanh units over standardised observations, its output standardised as well."""
+    """A network of tanh layers over standardised observations, its output standardised as well."""
 
-    networks: MLP
-    """One a seed."""
-    obs_mean: Float[np.ndarray, "seed obs"]
-    obs_deviation: Float[np.ndarray, "seed obs"]
-    mean: Float[np.ndarray, " seed"]
-    deviation: Float[np.ndarray, " seed"]
+    network: MLP
+    obs_mean: Float[np.ndarray, " obs"]
+    obs_deviation: Float[np.ndarray, " obs"]
+    mean: Float[np.ndarray, ""]
+    deviation: Float[np.ndarray, ""]
 
     def values(
-        self, obs: Float[np.ndarray, "seed sample obs"], step: Int[np.ndarray, "seed sample"]
-    ) -> Float[np.ndarray, "seed sample"]:
+        self, obs: Float[np.ndarray, "*batch obs"], step: Int[np.ndarray, "*batch"]
+    ) -> Float[np.ndarray, "*batch"]:
         """The values of observations; the step does not matter."""
-        output = stacked(self.networks)(self._inputs(obs))[..., 0].astype(np.float64)
-        return output * self.deviation[:, None] + self.mean[:, None]
+        rows = self._inputs(obs).reshape(1, -1, obs.shape[-1])
+        output = stacked([self.network])(rows).reshape(obs.shape[:-1]).astype(np.float64)
+        return output * self.deviation + self.mean
 
     def fitted(
         self,
-        obs: Float[np.ndarray, "seed sample obs"],
-        step: Int[np.ndarray, "seed sample"],
-        returns: Float[np.ndarray, "seed sample"],
-        keys: Key[Array, " seed"],
+        obs: Float[np.ndarray, "sample obs"],
+        step: Int[np.ndarray, " sample"],
+        returns: Float[np.ndarray, " sample"],
+        *,
+        key: Key[Array, ""],
     ) -> "MLPCritic":
         """Fitted to these returns by Adam, from where it stands."""
-        scaled = MLPCritic(
-            self.networks,
-            obs.mean(axis=1),
-            np.maximum(obs.std(axis=1), 1e-6),
-            returns.mean(axis=1),
-            np.maximum(returns.std(axis=1), 1e-6),
-        )
-        targets = (returns - scaled.mean[:, None]) / scaled.deviation[:, None]
-        networks = _fit(
-            self.networks, jnp.asarray(scaled._inputs(obs)), jnp.asarray(targets, jnp.float32), keys
-        )
-        return eqx.tree_at(lambda c: c.networks, scaled, networks)
+        mean, deviation = np.asarray(returns.mean()), np.asarray(np.maximum(returns.std(), 1e-6))
+        obs_mean = obs.mean(axis=0, dtype=float)
+        obs_deviation = np.maximum(obs.std(axis=0, dtype=float), 1e-6)
+        scaled = MLPCritic(self.network, obs_mean, obs_deviation, mean, deviation)
+        targets = ((returns - mean) / deviation).astype(np.float32)
+        network = _fit(self.network, scaled._inputs(obs), targets, key)
+        return eqx.tree_at(lambda c: c.network, scaled, network)
 
     def _inputs(self, obs: np.ndarray) -> np.ndarray:
-        return ((obs - self.obs_mean[:, None]) / self.obs_deviation[:, None]).astype(np.float32)
+        return ((obs - self.obs_mean) / self.obs_deviation).astype(np.float32)
 
 
 Critic = LinearCritic | MLPCritic
 
 
-def make_critic(name: CriticName, num_obs: int, keys: Key[Array, " seed"]) -> Critic:
-    """A critic that has seen nothing yet."""
-    num = len(keys)
+def make_critic(name: CriticName, num_obs: int, hidden: tuple[int, ...], *, key: Key[Array, ""]) -> Critic:
+    """A critic that has seen nothing yet; only that of a network has hidden layers."""
     if name == "linear":
-        return LinearCritic(np.zeros((num, 2 * num_obs + 4)))
-    networks = eqx.filter_vmap(lambda k: MLP((num_obs, *MLP_HIDDEN, 1), key=k))(keys)
-    return MLPCritic(
-        networks, np.zeros((num, num_obs)), np.ones((num, num_obs)), np.zeros(num), np.zeros(num)
-    )
+        num_features = features(np.zeros((1, num_obs)), np.zeros(1, int)).shape[1]
+        return LinearCritic(np.zeros(num_features))
+    network = MLP((num_obs, *hidden, 1), key=key)
+    return MLPCritic(network, np.zeros(num_obs), np.ones(num_obs), np.zeros(()), np.zeros(()))
 
 
 def features(
@@ -113,26 +107,18 @@ def features(
 
 
 def ridge_regression(
-    x: Float[np.ndarray, "seed sample feature"], returns: Float[np.ndarray, "seed sample"]
-) -> Float[np.ndarray, "seed feature"]:
-    """Weights of the ridge regression of returns on features, for each seed."""
-    transposed = x.transpose(0, 2, 1)
-    normal = transposed @ x + RIDGE * np.eye(x.shape[-1])
-    return np.linalg.solve(normal, transposed @ returns[..., None])[..., 0]
+    x: Float[np.ndarray, "sample feature"], returns: Float[np.ndarray, " sample"]
+) -> Float[np.ndarray, " feature"]:
+    """Weights of the ridge regression of returns on features."""
+    return np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ returns)
 
 
-@eqx.filter_jit
+@jax.jit
 def _fit(
-    networks: MLP,
-    inputs: Float[Array, "seed sample obs"],
-    targets: Float[Array, "seed sample"],
-    keys: Key[Array, " seed"],
-) -> MLP:
-    return eqx.filter_vmap(_fit_one)(networks, inputs, targets, keys)
-
-
-def _fit_one(
-    network: MLP, inputs: Float[Array, "sample obs"], targets: Float[Array, " sample"], key: Key[Array, ""]
+    network: MLP,
+    inputs: Float[Array, "sample obs"],
+    targets: Float[Array, " sample"],
+    key: Key[Array, ""],
 ) -> MLP:
     """Least squares by Adam; samples beyond an epoch's last whole minibatch wait for the next epoch."""
     adam = optax.adam(MLP_RATE)

@@ -1,5 +1,7 @@
 """The small tanh network that policies and critics are made of."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -39,10 +41,11 @@ class MLP(eqx.Module):
         return self.weights[-1] @ x + self.biases[-1]
 
 
-def stacked(networks: MLP) -> Stack:
-    """Networks with a leading axis of seeds, in NumPy."""
+def stacked(networks: Sequence[MLP]) -> Stack:
+    """Networks of one shape, one a seed, in NumPy."""
+    layers = range(len(networks[0].weights))
     return Stack(
-        [np.asarray(w) for w in networks.weights],
-        [np.asarray(b) for b in networks.biases],
-        layer_norm=networks.layer_norm,
+        [np.stack([np.asarray(n.weights[k]) for n in networks]) for k in layers],
+        [np.stack([np.asarray(n.biases[k]) for n in networks]) for k in layers],
+        layer_norm=networks[0].layer_norm,
     )

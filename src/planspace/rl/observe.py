@@ -21,18 +21,22 @@ class Observer:
     obs: ObsForm
     z: ZMode
     z_to: ZTarget
-    embedding: Embedding | None
+    embeddings: tuple[Embedding, ...] = ()
+    """What makes z: one for all environments, or one for each part of them, in equal parts."""
 
     def __post_init__(self) -> None:
         """Checks that the parts fit.
 
         Raises:
-            UsageError: an arm with z has no embedding, or one for other states.
+            UsageError: an arm with z has no embedding, one for other states, or several of different sizes.
         """
         if self.z == "none":
             return
-        if self.embedding is None:
+        if not self.embeddings:
             raise UsageError(f"z is {self.z!r}, which needs an embedding: give --embedding DIR.")
+        if len({embedding.z_dim for embedding in self.embeddings}) > 1:
+            sizes = ", ".join(str(embedding.z_dim) for embedding in self.embeddings)
+            raise UsageError(f"embeddings of one arm must be of one size, got z of {sizes} numbers.")
         _ = self._embedded_columns
 
     def __call__(
@@ -42,8 +46,10 @@ class Observer:
         parts = []
         if self.z != "replace" or self.z_to != "both":
             parts.append(self.task.observe_as(self.obs, states, targets))
-        if self.embedding is not None and self.z != "none":
-            parts.append(self.embedding.encode(states[:, self._embedded_columns]))
+        if self.z != "none":
+            groups = np.split(states, len(self.embeddings))
+            ways = zip(self.embeddings, self._embedded_columns, groups, strict=True)
+            parts.append(np.concatenate([e.encode(group[:, columns]) for e, columns, group in ways]))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     @property
@@ -57,19 +63,38 @@ class Observer:
         return self._columns("critic")
 
     @cached_property
-    def _embedded_columns(self) -> list[int]:
-        """Where in the task's state the embedding's states are."""
-        assert self.embedding is not None
+    def num_obs(self) -> int:
+        """Numbers of an observation, z among them."""
+        own = 0 if self.z == "replace" and self.z_to == "both" else self._num_own
+        return own + (self.embeddings[0].z_dim if self.z != "none" else 0)
+
+    @property
+    def num_policy_obs(self) -> int:
+        """How many the policy reads."""
+        return len(range(self.num_obs)[self.policy_columns])
+
+    @property
+    def num_critic_obs(self) -> int:
+        """How many the critic reads."""
+        return len(range(self.num_obs)[self.critic_columns])
+
+    @property
+    def _num_own(self) -> int:
+        return len(self.task.fields(self.obs))
+
+    @cached_property
+    def _embedded_columns(self) -> list[list[int]]:
+        """Where in the task's state each embedding's states are."""
         _, space = self.task.compile()
         try:
-            return list(self.embedding.columns_of(space.names))
+            return [list(embedding.columns_of(space.names)) for embedding in self.embeddings]
         except UsageError as error:
             raise UsageError(f"task {self.task.name}: {error}") from None
 
     def _columns(self, reader: str) -> slice:
         if self.z == "none" or self.z_to == "both":
             return slice(None)
-        own = len(self.task.fields(self.obs))
+        own = self._num_own
         if reader != self.z_to:
             return slice(0, own)
         return slice(own, None) if self.z == "replace" else slice(None)

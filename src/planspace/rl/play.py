@@ -7,7 +7,7 @@ from jaxtyping import Float
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.physics.simulate import ASSETS
-from planspace.rl.saved_policy import EMBEDDING, Policy
+from planspace.rl.saved_policy import Policy
 from planspace.tasks import find_task
 
 
@@ -18,7 +18,7 @@ def make_env(policy: Policy) -> gymnasium.Env:
     if about["z"] == "none":
         return env
     mode = "replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment"
-    return PlanSpaceObservation(env, policy.run / EMBEDDING, mode)
+    return PlanSpaceObservation(env, policy.embedding, mode)
 
 
 def play(policy: Policy, num: int, seed: int) -> tuple[Float[np.ndarray, " episode"], Demos]:

@@ -1,6 +1,7 @@
 """One iteration of episodes for all seeds at once."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,18 +14,30 @@ from planspace.rl.policy import GaussianPolicy
 
 
 class Actor:
-    """Policies with a leading axis of seeds, as they act."""
+    """The policies of all seeds as they act."""
 
-    def __init__(self, policies: GaussianPolicy, columns: slice, statistics: ObsStatistics | None = None):
+    def __init__(
+        self,
+        policies: Sequence[GaussianPolicy],
+        columns: slice,
+        statistics: Sequence[ObsStatistics] | None = None,
+    ):
         """Copies the weights.
 
         Args:
-            policies: the policies.
+            policies: one a seed.
             columns: what they read of an observation.
-            statistics: standardises observations, where that is wanted.
+            statistics: standardises observations, where that is wanted; one a seed.
         """
-        self._mean, self._columns, self._statistics = stacked(policies.mean), columns, statistics
-        self.std = np.exp(np.asarray(policies.log_std))[:, None, :]
+        self._mean, self._columns = stacked([p.mean for p in policies]), columns
+        self._statistics = ObsStatistics.stacked(statistics) if statistics else None
+        self.log_std = np.stack([np.asarray(p.log_std) for p in policies])
+        """Logarithm of the deviation of the actions [seed, action]."""
+
+    @property
+    def entropy(self) -> Float[np.ndarray, " seed"]:
+        """Of each policy's actions, the same everywhere [nat]."""
+        return np.sum(self.log_std + 0.5 * np.log(2 * np.pi * np.e), axis=1)
 
     def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:
         """The mean action of each policy in each of its environments."""
@@ -35,20 +48,24 @@ class Actor:
 
 @dataclass(frozen=True)
 class Rollout:
-    """What happened in one iteration. Axes: time, seed, env."""
+    """What happened in one iteration, of all seeds or, without that axis, of one."""
 
-    obs: Float[np.ndarray, "time seed env obs"]
-    actions: Float[np.ndarray, "time seed env action"]
-    rewards: Float[np.ndarray, "time seed env"]
-    step: Int[np.ndarray, "time seed env"]
+    obs: Float[np.ndarray, "time *seed env obs"]
+    actions: Float[np.ndarray, "time *seed env action"]
+    rewards: Float[np.ndarray, "time *seed env"]
+    step: Int[np.ndarray, "time *seed env"]
     """Steps since the episode's start, before the action."""
-    terminated: Bool[np.ndarray, "time seed env"]
-    timeout: Bool[np.ndarray, "time seed env"]
+    terminated: Bool[np.ndarray, "time *seed env"]
+    timeout: Bool[np.ndarray, "time *seed env"]
     """The episode reached the task's horizon there."""
-    cut: Bool[np.ndarray, "time seed env"]
+    cut: Bool[np.ndarray, "time *seed env"]
     """The record ends there in the middle of an episode (the iteration's end, or diverged physics)."""
-    next_obs: Float[np.ndarray, "time seed env obs"]
+    next_obs: Float[np.ndarray, "time *seed env obs"]
     """What was observed after the action, before any restart."""
+
+    def of_seed(self, i: int) -> "Rollout":
+        """One seed's part, counted from 0."""
+        return Rollout(**{f.name: np.ascontiguousarray(getattr(self, f.name)[:, i]) for f in fields(self)})
 
 
 def collect(
@@ -57,6 +74,8 @@ def collect(
     actor: Actor,
     num_steps: int,
     rngs: list[np.random.Generator],
+    *,
+    noise: bool = True,
 ) -> Rollout:
     """Runs every environment for `num_steps`, from fresh episodes; when one ends, the next begins.
 
@@ -66,13 +85,15 @@ def collect(
         actor: one policy a seed.
         num_steps: steps of each environment.
         rngs: one stream a seed; a seed's starts and noise come from its own stream alone.
+        noise: whether actions are drawn, or are the policies' means.
     """
     task, num_seeds = batch.task, len(rngs)
     num_envs = len(batch.states) // num_seeds
     shape = (num_steps, num_seeds, num_envs)
-    num_actions = actor.std.shape[-1]
+    num_actions = actor.log_std.shape[-1]
     starts = [task.sample_starts(num_envs, rng) for rng in rngs]
-    noise = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
+    drawn = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
+    drawn *= np.exp(actor.log_std)[:, None, :] if noise else 0.0
     batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
     obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
     record = Rollout(
@@ -87,7 +108,7 @@ def collect(
     )
     since_start = np.zeros(shape[1:], int)
     for t in range(num_steps):
-        actions = actor.mean(obs) + actor.std * noise[t]
+        actions = actor.mean(obs) + drawn[t]
         rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
         record.rewards[t], record.terminated[t] = rewards.reshape(shape[1:]), terminated.reshape(shape[1:])
@@ -128,3 +149,10 @@ def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float
         returns[s] = np.mean(np.array(totals)[keep])
         lengths[s] = np.mean(np.array([n for n, _ in counts])[keep])
     return returns, lengths
+
+
+def first_returns(rollout: Rollout) -> Float[np.ndarray, " seed"]:
+    """Mean return of the first episode of each environment, by seed, undiscounted."""
+    ended = rollout.terminated | rollout.timeout | rollout.cut
+    over = np.cumsum(ended, axis=0) - ended > 0  # an episode ended before this step
+    return np.where(over, 0.0, rollout.rewards).sum(axis=0).mean(axis=1)

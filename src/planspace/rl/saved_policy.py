@@ -2,7 +2,7 @@
 
 RUN/policies.safetensors   weights [seed, ...] and what standardises observations
 RUN/policies.json          the arm they were trained on, and what each seed earned; sealed
-RUN/embedding/             what makes z, for an arm that has it
+RUN/embedding/             what makes z, for an arm that has it; of several, RUN/embedding-0/ and so on
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,8 @@ class Policy:
     run: Path
     """The run it comes from."""
     about: dict[str, Any]
-    """`task`, `env_id`, `obs`, `z`, `z_to`, `seeds`, `returns` (of each seed, at the end) and `versions`."""
+    """`task`, `env_id`, `obs`, `z`, `z_to`, `seeds`, `returns` (of each seed, in the last evaluation),
+    `embeddings` (the folder of each seed's, where there is z) and `versions`."""
     seed: int
     """Which seed."""
     network: Stack
@@ -39,6 +40,11 @@ class Policy:
     """What it reads of an observation."""
     statistics: ObsStatistics | None
     """What standardises observations."""
+
+    @property
+    def embedding(self) -> Path:
+        """The folder of what makes its z."""
+        return self.run / self.about["embeddings"][self.about["seeds"].index(self.seed)]
 
     def __call__(self, obs: Float[np.ndarray, "*batch obs"]) -> Float[np.ndarray, "*batch action"]:
         """The mean action, within the environment's range.
@@ -70,7 +76,7 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
 
     Args:
         run: the run's folder.
-        seed: which one; `best` is the one that earned most at the end of training.
+        seed: which one; `best` is the one that earned most in the last evaluation.
 
     Raises:
         PlanspaceError: no finished run, altered since it was saved, or written by a newer planspace.

@@ -9,8 +9,8 @@ from planspace.embed.curves import plot_training, read_log
 from planspace.embed.embedding import LOG, Embedding
 from planspace.embed.measurement import split_of
 from planspace.embed.plot import paths_html, plot_distance_against_time, plot_paths
+from planspace.figure import save_figure
 from planspace.store import make_folder, write_bytes
-from planspace.study.figures import save_figure
 
 
 def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) -> None:

@@ -14,16 +14,10 @@ from planspace.demos.dataset import Demos
 from planspace.demos.plot import plot_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.plot import PLOTLY_CONFIG, interactive_paths
+from planspace.figure import save_figure
+from planspace.rl.curves import SMOOTHING, learning_curve, plot_curves
 from planspace.store import Arrays, make_folder, write_bytes
-from planspace.study.figures import (
-    SMOOTHING,
-    interactive_curves,
-    learning_curve,
-    plain_layout,
-    plot_curves,
-    plot_paths,
-    save_figure,
-)
+from planspace.study.figures import interactive_curves, plain_layout, plot_paths
 
 TEMPLATES = Path(__file__).parent / "templates"
 

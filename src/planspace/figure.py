@@ -1,0 +1,20 @@
+"""What all figures share."""
+
+import io
+from pathlib import Path
+
+import matplotlib.figure
+
+from planspace.store import write_bytes
+
+COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33", "#775533", "#888888")
+"""Told apart by colour-blind readers (after Paul Tol)."""
+
+
+def save_figure(figure: matplotlib.figure.Figure, folder: Path, name: str) -> Path:
+    """Saves a figure as PNG and SVG; returns the PNG's path."""
+    for ending in ("svg", "png"):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=ending, dpi=150)
+        write_bytes(folder / f"{name}.{ending}", buffer.getvalue())
+    return folder / f"{name}.png"
