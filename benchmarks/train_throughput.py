@@ -1,62 +1,204 @@
-"""TRPO over five seeds, learning included, against bare `mujoco.batch` stepping of the same 100 environments.
+"""How fast all seeds train in one program, against bare physics and against a library with a process a seed.
 
-    python benchmarks/train_throughput.py [REPEATS]
+    python benchmarks/train_throughput.py [--repeats N] [--seeds N] [--growth] [--memory]
 
-Both are timed in turn in one process; the ratio is taken pair by pair. Compilation is left out by one
-training run of the same shapes before the clock starts.
+For each algorithm and preset, in turn in one run: training of all seeds, learning included; bare
+`mujoco.batch` physics of the same environments, given the controls that training gave them, as fast as it
+goes; and two processes of sb3-contrib's TRPO or Stable-Baselines3's PPO, one seed each, with the settings the
+libraries share. Ratios are taken turn by turn. Compilation is left out by a first run of the same shapes.
+
+--growth   seeds from 1 to 60, and what a second is spent on
+--memory   the most memory that training 60 seeds takes
 """
 
+import argparse
+import multiprocessing
+import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 
 from planspace.envs.batch import TaskBatch
-from planspace.rl.config import BATCH_STEPS, TrainConfig
-from planspace.rl.train import train
+from planspace.physics.simulate import Simulator
+from planspace.rl import train as module
+from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
 from planspace.tasks import TASKS
 
-NUM_SEEDS, ITERATIONS = 5, 20
 TASK = TASKS["cartpole-swingup"]
+ITERATIONS = 25
+"""As many as lie between two evaluations, of which one is therefore counted."""
+ARMS: list[tuple[Algo, RLPreset]] = [("trpo", "paper"), ("ppo", "paper"), ("ppo", "modern")]
+SEEDS = (1, 2, 5, 10, 15, 30, 60)
+LIBRARY_STEPS = 20_000
 
 
-def training_rate(seed: int) -> float:
-    config = TrainConfig(TASK.name, num_seeds=NUM_SEEDS, seed=seed, steps=ITERATIONS * BATCH_STEPS)
-    with tempfile.TemporaryDirectory() as folder:
+def timed(function: Callable, spent: Counter, name: str) -> Callable:
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
         began = time.perf_counter()
-        train(config, Path(folder) / "run")
-        return NUM_SEEDS * config.steps / (time.perf_counter() - began)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            spent[name] += time.perf_counter() - began
+
+    return wrapper
 
 
-def physics_rate(seed: int) -> float:
-    """Bare stepping: random controls, no observation, reward or learning."""
-    num = NUM_SEEDS * BATCH_STEPS // TASK.horizon
-    rng = np.random.default_rng(seed)
-    batch = TaskBatch(TASK, num)
-    batch.reset(*TASK.sample_starts(num, rng))
-    controls = rng.uniform(-3, 3, (TASK.horizon, num, 1))
-    simulator = batch.simulator
+def training(config: TrainConfig) -> tuple[float, Counter]:
+    """Steps a second of all seeds together, and the seconds spent in each part."""
+    spent: Counter = Counter()
+    parts = [(module, "collect"), (module, "learn"), (module, "values")]
+    with tempfile.TemporaryDirectory() as folder:
+        patches = [mock.patch.object(o, name, timed(getattr(o, name), spent, name)) for o, name in parts]
+        patches.append(mock.patch.object(Simulator, "step", timed(Simulator.step, spent, "physics")))
+        for patch in patches:
+            patch.start()
+        began = time.perf_counter()
+        module.train(config, Path(folder) / "run")
+        wall = time.perf_counter() - began
+        for patch in patches:
+            patch.stop()
+    spent["wall"] = wall
+    return config.num_seeds * config.steps / wall, spent
+
+
+class Replay:
+    """The controls of a training iteration, to be stepped with nothing around it."""
+
+    def __init__(self, config: TrainConfig):
+        taken: list[Any] = []
+        collect = module.collect
+
+        def keep(*args: Any, **kwargs: Any) -> Any:
+            taken.append(collect(*args, **kwargs))
+            return taken[-1]
+
+        with tempfile.TemporaryDirectory() as folder, mock.patch.object(module, "collect", keep):
+            module.train(replace(config, steps=10 * BATCH_STEPS), Path(folder) / "run")
+        num = config.num_seeds * BATCH_STEPS // TASK.horizon
+        last = taken[-2]  # the last is an evaluation
+        self.starts = last.obs[0, ..., : len(TASK.start_low)].reshape(num, -1).astype(float)
+        self.controls = last.actions.reshape(TASK.horizon, num, -1).astype(float)
+        self.batch = TaskBatch(TASK, num)
+
+    def rate(self) -> float:
+        """Steps a second of all environments together."""
+        began = time.perf_counter()
+        for _ in range(ITERATIONS):
+            self.batch.reset(self.starts, self.batch.targets)
+            for control in self.controls:
+                self.batch.simulator.step(control, TASK.frame_skip)
+        return ITERATIONS * self.controls.shape[0] * self.controls.shape[1] / (time.perf_counter() - began)
+
+
+def library_process(algo: Algo, preset: RLPreset, seed: int, results: Any) -> None:
+    import gymnasium
+    import torch
+    from sb3_contrib import TRPO
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    torch.set_num_threads(1)
+    num_envs = BATCH_STEPS // TASK.horizon
+    env = DummyVecEnv([lambda: gymnasium.make(TASK.env_id, obs="raw")] * num_envs)
+    shared = {"n_steps": TASK.horizon, "seed": seed, "device": "cpu", "policy_kwargs": {"net_arch": [32, 32]}}
+    if algo == "trpo":
+        agent = TRPO("MlpPolicy", env, cg_max_steps=10, gae_lambda=0.98, **shared)
+    else:
+        minibatch = 500 if preset == "modern" else BATCH_STEPS  # 32 trajectories are all there are
+        agent = PPO("MlpPolicy", env, n_epochs=10, batch_size=minibatch, learning_rate=1e-3, **shared)
+    agent.learn(BATCH_STEPS)
     began = time.perf_counter()
-    for _ in range(ITERATIONS):
-        for control in controls:
-            simulator.step(control, TASK.frame_skip)
-    return NUM_SEEDS * ITERATIONS * BATCH_STEPS / (time.perf_counter() - began)
+    agent.learn(LIBRARY_STEPS)
+    results.put(LIBRARY_STEPS / (time.perf_counter() - began))
+
+
+def library(algo: Algo, preset: RLPreset) -> float:
+    context = multiprocessing.get_context("spawn")
+    results = context.Queue()
+    workers = [context.Process(target=library_process, args=(algo, preset, i, results)) for i in range(2)]
+    for worker in workers:
+        worker.start()
+    rates = [results.get() for _ in workers]
+    for worker in workers:
+        worker.join()
+    return sum(rates)
+
+
+def compare(num_seeds: int, repeats: int) -> None:
+    print(f"{num_seeds} seeds: least, median and most of {repeats} turns")
+    head = ("training [steps/s]", "to bare physics", "to two processes of a library")
+    print(f"{'':<16}" + "".join(f"{text:>32}" for text in head))
+    for algo, preset in ARMS:
+        config = arm(algo, preset, num_seeds)
+        replay = Replay(config)
+        training(config)
+        turns = []
+        for i in range(repeats):
+            rate = training(replace(config, seed=100 * i))[0]
+            turns.append((rate, rate / replay.rate(), rate / library(algo, preset)))
+        columns = zip(*turns, strict=True)
+        cells = []
+        for values, form in zip(columns, (",.0f", ".2f", ".1f"), strict=True):
+            cells.append(" ".join(f"{f(values):>9{form}}" for f in (np.min, np.median, np.max)))
+        print(f"{algo + ', ' + preset:<16}" + "".join(f"{cell:>32}" for cell in cells), flush=True)
+
+
+def growth() -> None:
+    """What a second goes to; `waiting` is the part of learning in which a thread had nothing to do."""
+    print(f"{'':<16}{'seeds':>6}{'steps/s':>12}{'physics':>10}{'policy':>10}{'update':>10}{'waiting':>10}")
+    for algo, preset in ARMS:
+        for num_seeds in SEEDS:
+            config = arm(algo, preset, num_seeds)
+            training(replace(config, steps=BATCH_STEPS))
+            rate, spent = training(config)
+            wall, acting = spent["wall"], spent["collect"]
+            learning = wall - acting
+            busy = min((spent["learn"] + spent["values"]) / min(2, num_seeds), learning)
+            shares = spent["physics"] / wall, (acting - spent["physics"]) / wall, busy / wall
+            row = "".join(f"{share:>10.0%}" for share in (*shares, 1 - sum(shares)))
+            print(f"{algo + ', ' + preset:<16}{num_seeds:>6}{rate:>12,.0f}{row}", flush=True)
+
+
+def memory() -> None:
+    for algo, preset in ARMS:
+        code = (
+            "import benchmarks.train_throughput as b, resource; "
+            f"b.training(b.arm({algo!r}, {preset!r}, 60)); "
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+        )
+        root = Path(__file__).parent.parent
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root
+        )
+        print(f"{algo}, {preset}: 60 seeds, most memory {float(done.stdout):,.0f} MiB", flush=True)
+
+
+def arm(algo: Algo, preset: RLPreset, num_seeds: int) -> TrainConfig:
+    return TrainConfig(TASK.name, algo, preset=preset, num_seeds=num_seeds, steps=ITERATIONS * BATCH_STEPS)
 
 
 def main() -> None:
-    repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    training_rate(0)
-    pairs = np.array([(training_rate(i), physics_rate(i)) for i in range(1, repeats + 1)])
-    ratios = pairs[:, 0] / pairs[:, 1]
-    print("command: python benchmarks/train_throughput.py", repeats)
-    print(f"{'':<26}{'least':>10}{'median':>10}{'most':>10}")
-    rows = {"TRPO [steps/s]": pairs[:, 0], "bare physics [steps/s]": pairs[:, 1], "ratio": ratios}
-    for name, values in rows.items():
-        form = ".2f" if name == "ratio" else ",.0f"
-        spread = [format(f(values), form) for f in (np.min, np.median, np.max)]
-        print(f"{name:<26}" + "".join(f"{s:>10}" for s in spread))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=15)
+    parser.add_argument("--growth", action="store_true")
+    parser.add_argument("--memory", action="store_true")
+    options = parser.parse_args()
+    print("command: python benchmarks/train_throughput.py", *sys.argv[1:])
+    if options.growth:
+        growth()
+    elif options.memory:
+        memory()
+    else:
+        compare(options.seeds, options.repeats)
 
 
 if __name__ == "__main__":

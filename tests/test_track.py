@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from planspace import track
 from planspace.errors import PlanspaceError
-from planspace.track import open_tracker
+from planspace.track import open_tracker, open_trackers, open_wandb
 
 pytest.importorskip("tensorboard")
 
@@ -83,3 +84,54 @@ def test_neither_tensorflow_nor_torch_is_needed(tmp_path: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", code], check=True)
     assert read(tmp_path) == {"a": [(3, 1.0)]}
+
+
+@pytest.fixture
+def nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nobody is logged in to Weights & Biases, and nobody can answer a question."""
+    for name in ("WANDB_API_KEY", "WANDB_MODE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr("sys.stdin", None)
+
+
+def test_wandb_keeps_the_run_in_its_folder_where_nobody_is_logged_in(nobody: None, tmp_path: Path) -> None:
+    pytest.importorskip("wandb")
+
+    with open_trackers(("wandb",), tmp_path / "run") as add:
+        add(4000, {"return/seed 0": -1.5})
+        add(8000, {"return/seed 0": -0.5})
+    (path,) = (tmp_path / "run" / "wandb").glob("offline-run-*/run-*.wandb")
+    data = path.read_bytes()  # protocol buffers: text as it is
+    assert b"return/seed 0" in data and data.index(b"-1.5") < data.index(b"-0.5")
+
+
+def test_wandb_is_told_to_send_only_where_somebody_is(nobody: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not track._has_wandb_credentials()
+    monkeypatch.setenv("WANDB_API_KEY", "0" * 40)
+    assert track._has_wandb_credentials()
+    monkeypatch.delenv("WANDB_API_KEY")
+    netrc = Path.home() / ".netrc"
+    netrc.write_text("machine api.wandb.ai login user password " + "0" * 40)
+    netrc.chmod(0o600)
+    assert track._has_wandb_credentials()
+    netrc.write_text("no netrc at all")
+    assert not track._has_wandb_credentials()
+
+
+def test_both_at_once_and_none(nobody: None, tmp_path: Path) -> None:
+    pytest.importorskip("wandb")
+    with open_trackers(("tensorboard", "wandb", "tensorboard"), tmp_path / "both") as add:
+        add(1, {"a": 2.0})
+    assert read(tmp_path / "both" / "tensorboard") == {"a": [(1, 2.0)]}
+    assert (tmp_path / "both" / "wandb").exists()
+    with open_trackers((), tmp_path / "none") as add:
+        add(1, {"a": 2.0})
+    assert not (tmp_path / "none").exists()
+
+
+def test_without_wandb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(PlanspaceError, match=r"needs the package wandb: pip install 'planspace\[track\]'"):
+        open_wandb(tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
