@@ -1,0 +1,101 @@
+"""Learning curves of ten seeds beside those of Stable-Baselines3 and sb3-contrib, as an illustration.
+
+    python benchmarks/rl_beside_sb3.py
+
+Swing-up with sin and cos, 300,000 steps a seed, with the settings the libraries share: 4000 steps an
+iteration in 20 environments, 2 x 32 tanh, discount 0.99; TRPO with 10 conjugate gradient steps, max KL 0.01,
+lambda 0.98; PPO with 10 epochs of minibatches of 500, Adam 1e-3, clip 0.2, lambda 0.95. The critics differ:
+theirs trains by gradient steps beside the policy, ours is fitted anew. Each seed of theirs is kept in
+results/rl/beside/ as it is done, and not run again; draws results/rl/beside-sb3.png and prints the table.
+"""
+
+import json
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from planspace.figure import save_figure
+from planspace.rl.config import BATCH_STEPS, PRESETS, Algo, LearnerConfig, TrainConfig
+from planspace.rl.curves import learning_curve, plot_curves
+from planspace.rl.train import train
+from planspace.store import read_json, write_bytes
+from planspace.tasks import TASKS
+
+RESULTS = Path(__file__).parent.parent / "results" / "rl"
+TASK, OBS = TASKS["cartpole-swingup"], "trig"
+NUM_SEEDS, STEPS = 10, 300_000
+ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
+SHARED: dict[Algo, LearnerConfig] = {
+    "trpo": replace(PRESETS["trpo", "paper"], critic="mlp", bootstrap_timeout=True),
+    "ppo": replace(PRESETS["ppo", "modern"], normalise_obs=False),
+}
+
+
+def library(algo: Algo, seed: int) -> None:
+    """One seed of theirs: mean return of the episodes of each iteration."""
+    path = RESULTS / "beside" / f"{algo}-{seed}.json"
+    if path.exists():
+        return
+    import gymnasium
+    import torch
+    from sb3_contrib import TRPO
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+    class Returns(BaseCallback):
+        """Keeps the mean return of each iteration's episodes."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.kept: list[float] = []
+
+        def _on_step(self) -> bool:
+            return True
+
+        def _on_rollout_end(self) -> None:
+            last = list(self.model.ep_info_buffer)[-BATCH_STEPS // TASK.horizon :]
+            self.kept.append(float(np.mean([episode["r"] for episode in last])))
+
+    torch.set_num_threads(1)
+    num_envs = BATCH_STEPS // TASK.horizon
+    env = VecMonitor(DummyVecEnv([lambda: gymnasium.make(TASK.env_id, obs=OBS)] * num_envs))
+    shared = {"n_steps": TASK.horizon, "seed": seed, "device": "cpu", "policy_kwargs": {"net_arch": [32, 32]}}
+    if algo == "trpo":
+        agent = TRPO("MlpPolicy", env, cg_max_steps=10, gae_lambda=0.98, target_kl=0.01, **shared)
+    else:
+        agent = PPO("MlpPolicy", env, n_epochs=10, batch_size=500, learning_rate=1e-3, **shared)
+    returns = Returns()
+    agent.learn(STEPS, callback=returns)
+    write_bytes(path, (json.dumps({"returns": np.round(returns.kept, 2).tolist()}) + "\n").encode())
+
+
+def main() -> None:
+    (RESULTS / "beside").mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(2, get_context("spawn")) as workers:
+        units = [(algo, seed) for algo in ALGOS for seed in range(NUM_SEEDS)]
+        list(workers.map(library, *zip(*units, strict=True)))
+    curves = {}
+    for algo in ALGOS:
+        theirs = [read_json(RESULTS / "beside" / f"{algo}-{i}.json")["returns"] for i in range(NUM_SEEDS)]
+        name = "sb3-contrib" if algo == "trpo" else "Stable-Baselines3"
+        config = TrainConfig(TASK.name, algo, OBS, num_seeds=NUM_SEEDS, steps=STEPS, learner=SHARED[algo])
+        with tempfile.TemporaryDirectory() as folder:
+            ours = train(config, Path(folder) / algo)["return"]
+        for label, returns in ((f"{algo.upper()}, planspace", ours), (f"{algo.upper()}, {name}", theirs)):
+            table = np.array(returns) if returns is ours else np.array(returns).T
+            steps = BATCH_STEPS * np.arange(1, len(table) + 1)
+            curves[label] = learning_curve({"return": table, "steps": steps})
+            last = table[-10:].mean(axis=0)
+            error = last.std(ddof=1) / np.sqrt(NUM_SEEDS)
+            print(f"{label:<26}{last.mean():>8.1f} +- {error:.1f}   ({last.min():.1f}, {last.max():.1f})")
+    print(save_figure(plot_curves(curves, "swing-up, ten seeds each"), RESULTS, "beside-sb3"))
+    print("command: python benchmarks/rl_beside_sb3.py; returns of the last ten iterations (worst, best)")
+
+
+if __name__ == "__main__":
+    main()
