@@ -3,8 +3,8 @@
     python benchmarks/rl_levels.py [ARM ...] [--out DIR]
 
 Each arm is one `planspace train`, whose command is kept with its returns in results/rl/ARM.json; an arm whose
-file is there is not run again. Prints the table and draws results/rl/TASK.png in the paper's manner.
-Without arms, all of them: about two hours on two cores.
+file is there is not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the
+paper's manner. Without arms, all of them: an hour on two cores.
 """
 
 import argparse
@@ -27,43 +27,26 @@ NUM_SEEDS = 15
 KEPT_ROWS = SMOOTHING
 """The returns kept are means of so many iterations, rounded to 2 decimals; no further smoothed when drawn."""
 EVERY = {"algo": "trpo", "preset": "paper", "seeds": NUM_SEEDS}
+SWING_UP = {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000}
+BALANCE = {"task": "cartpole", "obs": "raw", "steps": 400_000}
+REACHER = {"task": "reacher-trig", "obs": "raw", "steps": 1_440_000}
+MODERN = {"preset": "modern"}
+PPO = {"algo": "ppo"}
 ARMS = {
-    "swingup-raw-trpo": {"task": "cartpole-swingup", "obs": "raw", "steps": 960_000},
-    "swingup-trig-trpo": {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000},
-    "swingup-trig-trpo-modern": {
-        "task": "cartpole-swingup",
-        "obs": "trig",
-        "steps": 960_000,
-        "preset": "modern",
-    },
-    "swingup-trig-ppo": {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000, "algo": "ppo"},
-    "swingup-trig-ppo-modern": {
-        "task": "cartpole-swingup",
-        "obs": "trig",
-        "steps": 960_000,
-        "algo": "ppo",
-        "preset": "modern",
-    },
-    "cartpole-raw-trpo": {"task": "cartpole", "obs": "raw", "steps": 400_000},
-    "cartpole-raw-trpo-modern": {"task": "cartpole", "obs": "raw", "steps": 400_000, "preset": "modern"},
-    "cartpole-raw-ppo": {"task": "cartpole", "obs": "raw", "steps": 400_000, "algo": "ppo"},
-    "cartpole-raw-ppo-modern": {
-        "task": "cartpole",
-        "obs": "raw",
-        "steps": 400_000,
-        "algo": "ppo",
-        "preset": "modern",
-    },
-    "reacher-trig-trpo": {"task": "reacher-trig", "obs": "raw", "steps": 1_440_000},
-    "reacher-raw-trpo": {"task": "reacher-raw", "obs": "raw", "steps": 1_200_000},
-    "reacher-trig-ppo-modern": {
-        "task": "reacher-trig",
-        "obs": "raw",
-        "steps": 1_440_000,
-        "algo": "ppo",
-        "preset": "modern",
-    },
-    "reacher-trig-trpo-long": {"task": "reacher-trig", "obs": "raw", "steps": 8_000_000},
+    "swingup-raw-trpo": SWING_UP | {"obs": "raw"},
+    "swingup-trig-trpo": SWING_UP,
+    "swingup-trig-ppo": SWING_UP | PPO,
+    "cartpole-raw-trpo": BALANCE,
+    "cartpole-raw-ppo": BALANCE | PPO,
+    "reacher-trig-trpo": REACHER,
+    "reacher-raw-trpo": REACHER | {"task": "reacher-raw", "steps": 1_200_000},
+    "reacher-trig-trpo-long": REACHER | {"steps": 8_000_000},
+    "swingup-trig-trpo-modern": SWING_UP | MODERN,
+    "swingup-trig-ppo-modern": SWING_UP | PPO | MODERN,
+    "cartpole-raw-trpo-modern": BALANCE | MODERN,
+    "cartpole-raw-ppo-modern": BALANCE | PPO | MODERN,
+    "reacher-trig-trpo-modern": REACHER | MODERN,
+    "reacher-trig-ppo-modern": REACHER | PPO | MODERN,
 }
 CHECKS = {
     "swingup-raw-trpo": (-234.0, -338.0, 87.0, 32.0),
@@ -125,17 +108,19 @@ def table(names: list[str]) -> None:
         print(row)
 
 
-def draw(task: str) -> None:
-    curves: dict[str, Curve] = {}
-    for name, arm in ARMS.items():
-        path = RESULTS / f"{name}.json"
-        if arm["task"] == task and path.exists():
-            result = read_json(path)
-            returns = np.array(result["returns"])
-            steps = result["kept_every"] * np.arange(1, len(returns) + 1)
-            curves[name] = learning_curve({"return": returns, "steps": steps}, window=1)
-    if curves:
-        print(save_figure(plot_curves(curves, task), RESULTS, task))
+def draw(names: list[str]) -> None:
+    """A figure for each task and preset; the long run has its own."""
+    figures: dict[str, dict[str, Curve]] = {}
+    for name in names:
+        arm, result = EVERY | ARMS[name], read_json(RESULTS / f"{name}.json")
+        returns = np.array(result["returns"])
+        steps = result["kept_every"] * np.arange(1, len(returns) + 1)
+        curve = learning_curve({"return": returns, "steps": steps}, window=1)
+        ending = "-long" if name.endswith("-long") else ""
+        figure = figures.setdefault(f"{arm['task']}-{arm['preset']}{ending}", {})
+        figure[f"{arm['obs']}, {str(arm['algo']).upper()}"] = curve
+    for title, curves in figures.items():
+        print(save_figure(plot_curves(curves, title), RESULTS, title))
 
 
 def main() -> None:
@@ -149,9 +134,11 @@ def main() -> None:
         if not (RESULTS / f"{name}.json").exists():
             run_arm(name, options.out)
     print("command: python benchmarks/rl_levels.py", *options.arms)
-    table(names)
-    for task in dict.fromkeys(str(ARMS[name]["task"]) for name in names):
-        draw(task)
+    for preset in ("paper", "modern"):  # never in one table
+        if chosen := [name for name in names if (EVERY | ARMS[name])["preset"] == preset]:
+            print(f"\n{preset}")
+            table(chosen)
+    draw(names)
 
 
 if __name__ == "__main__":
