@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from planspace.cli import main as planspace
+from planspace.errors import PartialResult
 from planspace.figure import save_figure
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.curves import SMOOTHING, Curve, learning_curve, plot_curves
@@ -70,10 +71,10 @@ def command(name: str) -> list[str]:
 
 def run_arm(name: str, runs: Path) -> None:
     words, out = command(name), runs / name
-    if code := planspace([*words, "--out", str(out)]):
+    if (code := planspace([*words, "--out", str(out)])) not in (0, PartialResult.exit_code):
         sys.exit(code)
     history, settings = load_history(out), read_json(out / "config.json")
-    returns = history["return"]
+    returns, steps = history["return"], history["steps"]
     rows = len(returns) // KEPT_ROWS * KEPT_ROWS
     kept = returns[:rows].reshape(-1, KEPT_ROWS, returns.shape[1]).mean(axis=1)
     result = {
@@ -82,7 +83,7 @@ def run_arm(name: str, runs: Path) -> None:
         "seeds": list(range(NUM_SEEDS)),
         "last": np.round(returns[-1], 2).tolist(),
         "evaluation": np.round(history["eval_return"][-1], 2).tolist(),
-        "first_at_100": [int(h[0]) if len(h := np.flatnonzero(r >= 100)) else None for r in returns.T],
+        "steps_to_100": [int(steps[h[0]]) if len(h := np.flatnonzero(r >= 100)) else None for r in returns.T],
         "skipped": int(history["skipped"].sum()),
         "frozen": int(history["frozen"][-1].sum()),
         "kept_every": KEPT_ROWS * BATCH_STEPS,
@@ -92,13 +93,15 @@ def run_arm(name: str, runs: Path) -> None:
 
 
 def table(names: list[str]) -> None:
-    print(f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}   check (worst, best)")
+    print(
+        f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}{'frozen':>8}   check (worst, best)"
+    )
     for name in names:
         result = read_json(RESULTS / f"{name}.json")
         last = np.array(result["last"])
         error = last.std(ddof=1) / np.sqrt(len(last))
         row = f"{name:<28}{last.mean():>9.1f}{error:>8.1f}{last.min():>9.1f}{last.max():>9.1f}"
-        row += f"{np.mean(result['evaluation']):>12.1f}"
+        row += f"{np.mean(result['evaluation']):>12.1f}{result['frozen']:>8}"
         if name in CHECKS:
             mean, worst, best, their_error = CHECKS[name]
             margin = 1.96 * np.hypot(error, error if their_error is None else their_error)

@@ -16,6 +16,7 @@ import multiprocessing
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from unittest import mock
 
 import numpy as np
 
+from planspace.cores import count_cores
 from planspace.envs.batch import TaskBatch
 from planspace.physics.simulate import Simulator
 from planspace.rl import train as module
@@ -41,12 +43,15 @@ LIBRARY_STEPS = 20_000
 
 
 def timed(function: Callable, spent: Counter, name: str) -> Callable:
+    lock = threading.Lock()
+
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         began = time.perf_counter()
         try:
             return function(*args, **kwargs)
         finally:
-            spent[name] += time.perf_counter() - began
+            with lock:
+                spent[name] += time.perf_counter() - began
 
     return wrapper
 
@@ -98,7 +103,7 @@ class Replay:
         return ITERATIONS * self.controls.shape[0] * self.controls.shape[1] / (time.perf_counter() - began)
 
 
-def library_process(algo: Algo, preset: RLPreset, seed: int, results: Any) -> None:
+def library_process(algo: Algo, preset: RLPreset, seed: int, start: Any, results: Any) -> None:
     import gymnasium
     import torch
     from sb3_contrib import TRPO
@@ -115,6 +120,7 @@ def library_process(algo: Algo, preset: RLPreset, seed: int, results: Any) -> No
         minibatch = 500 if preset == "modern" else BATCH_STEPS  # 32 trajectories are all there are
         agent = PPO("MlpPolicy", env, n_epochs=10, batch_size=minibatch, learning_rate=1e-3, **shared)
     agent.learn(BATCH_STEPS)
+    start.wait()
     began = time.perf_counter()
     agent.learn(LIBRARY_STEPS)
     results.put(LIBRARY_STEPS / (time.perf_counter() - began))
@@ -122,8 +128,10 @@ def library_process(algo: Algo, preset: RLPreset, seed: int, results: Any) -> No
 
 def library(algo: Algo, preset: RLPreset) -> float:
     context = multiprocessing.get_context("spawn")
-    results = context.Queue()
-    workers = [context.Process(target=library_process, args=(algo, preset, i, results)) for i in range(2)]
+    results, start = context.Queue(), context.Barrier(2)
+    workers = [
+        context.Process(target=library_process, args=(algo, preset, i, start, results)) for i in range(2)
+    ]
     for worker in workers:
         worker.start()
     rates = [results.get() for _ in workers]
@@ -152,8 +160,10 @@ def compare(num_seeds: int, repeats: int) -> None:
 
 
 def growth() -> None:
-    """What a second goes to; `waiting` is the part of learning in which a thread had nothing to do."""
-    print(f"{'':<16}{'seeds':>6}{'steps/s':>12}{'physics':>10}{'policy':>10}{'update':>10}{'waiting':>10}")
+    """What a second goes to: physics, what else acting takes, the seeds' updates if they kept all cores busy
+    (their time summed, over the cores), and the rest: waiting for the last of them, advantages, copies, files.
+    """
+    print(f"{'':<16}{'seeds':>6}{'steps/s':>12}{'physics':>10}{'policy':>10}{'update':>10}{'the rest':>10}")
     for algo, preset in ARMS:
         for num_seeds in SEEDS:
             config = arm(algo, preset, num_seeds)
@@ -161,7 +171,7 @@ def growth() -> None:
             rate, spent = training(config)
             wall, acting = spent["wall"], spent["collect"]
             learning = wall - acting
-            busy = min((spent["learn"] + spent["values"]) / min(2, num_seeds), learning)
+            busy = min((spent["learn"] + spent["values"]) / min(count_cores(), num_seeds), learning)
             shares = spent["physics"] / wall, (acting - spent["physics"]) / wall, busy / wall
             row = "".join(f"{share:>10.0%}" for share in (*shares, 1 - sum(shares)))
             print(f"{algo + ', ' + preset:<16}{num_seeds:>6}{rate:>12,.0f}{row}", flush=True)

@@ -452,7 +452,8 @@ class Train:
     seeds: Annotated[int, arg(metavar="N")] = 5
     """How many seeds."""
     steps: Annotated[int, arg(metavar="N")] = 960_000
-    """Environment steps for each seed; rounded up to a multiple of 4000."""
+    """Environment steps for each seed; rounded up to whole iterations of 4000 steps (of the whole episodes
+    that come nearest to that)."""
     seed: int = 0
     """The first seed; the others follow it."""
     critic: Annotated[CriticName | None, arg(metavar="{linear,mlp}", help_behavior_hint=PRESETS_OWN)] = None
@@ -473,10 +474,10 @@ class Train:
         """Trains and prints the returns at the end."""
         from planspace.embed.embedding import load_embedding
         from planspace.figure import save_figure
-        from planspace.rl.config import BATCH_STEPS, TrainConfig
+        from planspace.rl.config import TrainConfig
         from planspace.rl.curves import learning_curve, plot_curves
-        from planspace.rl.train import frozen_seeds, train
-        from planspace.tasks import TASKS
+        from planspace.rl.train import frozen_seeds, num_episodes, train
+        from planspace.tasks import TASKS, find_task
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
@@ -490,9 +491,10 @@ class Train:
         }
         if changes := {name: value for name, value in chosen.items() if value is not None}:
             config = config.learning(**changes)
-        rounded = config.iterations * BATCH_STEPS
+        task = find_task(self.task)
+        rounded = config.iterations * num_episodes(task) * task.horizon
         if rounded != self.steps:
-            print(f"--steps {self.steps} rounded up to {rounded}", file=sys.stderr)
+            print(f"--steps {self.steps} rounded to {rounded}, whole iterations", file=sys.stderr)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         history = train(config, self.out, embeddings, self.track)
         for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
@@ -551,14 +553,16 @@ class Play:
 
     def __call__(self) -> None:
         """Plays, prints the returns and writes the film."""
-        from planspace.demos.render import FilmConfig, render_demos
+        from planspace.demos.render import FilmConfig, check_film, render_demos
         from planspace.rl.play import play
         from planspace.rl.saved_policy import load_policy
 
         if self.episodes < 1 or self.start_seed < 0:
             raise UsageError("--episodes must be at least 1, --start-seed at least 0.")
-        if self.seed != "best" and not self.seed.isdigit():
+        if self.seed != "best" and not (self.seed.isascii() and self.seed.isdigit()):
             raise UsageError(f"--seed is best or a number, got {self.seed!r}.")
+        if self.video is not None:
+            check_film(self.video)
         policy = load_policy(self.run, "best" if self.seed == "best" else int(self.seed))
         returns, demos = play(policy, self.episodes, self.start_seed)
         print(f"seed {policy.seed}, {len(returns)} episodes of {policy.about['env_id']}")

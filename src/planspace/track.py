@@ -5,9 +5,9 @@ asked to log anyone in: without credentials its run stays in the folder, to be s
 """
 
 import contextlib
-import hashlib
 import netrc
 import os
+import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, BinaryIO, Literal
 
 from planspace.errors import PlanspaceError
-from planspace.store import make_folder
+from planspace.store import make_folder, read_bytes, write_bytes
 
 TrackerName = Literal["tensorboard", "wandb"]
 AddScalars = Callable[[int, Mapping[str, float]], None]
@@ -130,16 +130,32 @@ def open_wandb(folder: Path) -> WandbTracker:
         ) from error
     make_folder(folder)
     mode = None if "WANDB_MODE" in os.environ or _has_wandb_credentials() else "offline"
-    run = wandb.init(
-        project="planspace",
-        name=folder.name,
-        id=hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12],
-        resume="allow",
-        dir=folder,
-        mode=mode,
-        settings=wandb.Settings(silent=mode == "offline", console="off", disable_git=True, save_code=False),
-    )
+    try:
+        run = wandb.init(
+            project="planspace",
+            name=folder.name,
+            id=_wandb_id(folder),
+            resume="allow",
+            dir=folder,
+            mode=mode,
+            settings=wandb.Settings(
+                silent=mode == "offline", console="off", disable_git=True, save_code=False
+            ),
+        )
+    except wandb.errors.Error as error:
+        raise PlanspaceError(
+            f"Weights & Biases does not take the run ({' '.join(str(error).split())}). Set "
+            "WANDB_MODE=offline to keep it in its folder, or leave out --track wandb."
+        ) from error
     return WandbTracker(run)
+
+
+def _wandb_id(folder: Path) -> str:
+    """What a folder's run is called there; made once, so that continuing the folder continues the run."""
+    path = make_folder(folder / "wandb") / "planspace-run-id"
+    if not path.exists():
+        write_bytes(path, secrets.token_hex(6).encode())
+    return read_bytes(path).decode()
 
 
 def _has_wandb_credentials() -> bool:

@@ -95,7 +95,7 @@ def test_a_model_without_a_camera_is_seen_from_a_free_one(opengl: str, tmp_path:
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
-        ("film.avi", {}, "is no film; --out takes FILE.gif or FILE.mp4"),
+        ("film.avi", {}, "is no film; give FILE.gif or FILE.mp4"),
         ("film.mp4", {"width": 63}, "needs an even width and height, got 63 x 48"),
         ("film.gif", {"camera": "sied"}, "unknown camera 'sied'. Did you mean 'side'"),
         ("film.gif", {"fps": 0}, "must be at least 1"),

@@ -1,4 +1,7 @@
 import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -133,9 +136,49 @@ def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> N
         train(replace(SWING_UP, z="augment"), tmp_path / "a")
     with pytest.raises(UsageError, match=r"task reacher-raw: .*reads .*\(slider, .*these have 4 \(joint0"):
         train(replace(SWING_UP, task="reacher-raw", z="replace"), tmp_path / "b", [embedding])
-    with pytest.raises(UsageError, match="must be at least 1, got 0 and"):
-        replace(SWING_UP, num_seeds=0)
+    with pytest.raises(UsageError, match="an embedding was given, but z is 'none'"):
+        train(SWING_UP, tmp_path / "c", [embedding])
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"num_seeds": 0}, "must be at least 1, got 0 and"),
+        ({"seed": -1}, "seeds are at least 0, got -1"),
+        ({"eval_every": -1}, "must not be less than 0 iterations apart"),
+        ({"obs": "trigg"}, "unknown obs 'trigg'. Did you mean 'trig'?"),
+        ({"algo": "sac"}, "unknown algo 'sac'"),
+        ({"z_to": "critic"}, "z_to is 'critic', but there is no z"),
+        ({"hidden": ()}, "layers of at least one unit"),
+        ({"hidden": (32, 0)}, "layers of at least one unit"),
+        ({"match_z": -2}, "got match_z = -2"),
+        ({"critic": "cubic"}, "unknown critic 'cubic'"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(change: dict, message: str) -> None:
+    code = "from planspace.rl.config import *; from planspace.errors import UsageError\n"
+    of_learner = {"hidden", "match_z", "critic"} & change.keys()
+    name = "LearnerConfig(" if of_learner else "TrainConfig('cartpole', "
+    code += (
+        f"try: {name}**{change!r})\nexcept UsageError as error: print(error)"  # no types are checked there
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert message in done.stdout
+
+
+def test_iterations_are_of_whole_episodes() -> None:
+    assert {name: module.num_episodes(task) for name, task in TASKS.items()} == {
+        "cartpole": 40,
+        "cartpole-swingup": 20,
+        "reacher-trig": 40,
+        "reacher-raw": 40,
+        "pendulum-swingup": 20,
+        "acrobot-swingup": 13,  # of 300 steps: 3900
+        "quadrotor-planar": 27,  # of 150: 4050
+        "quadrotor": 27,
+        "arm": 27,
+    }
 
 
 def test_the_bootstrap_is_the_critics_value_where_the_record_is_cut() -> None:
@@ -153,17 +196,25 @@ def test_the_bootstrap_is_the_critics_value_where_the_record_is_cut() -> None:
     np.testing.assert_array_equal(next_value[:-1][inner], value[1:][inner])
 
 
-ALL_ARMS = [("trpo", "paper"), ("trpo", "modern"), ("ppo", "paper"), ("ppo", "modern")]
+ALL_ARMS = [
+    {"algo": "trpo", "preset": "paper"},
+    {"algo": "trpo", "preset": "modern"},
+    {"algo": "ppo", "preset": "paper"},
+    {"algo": "ppo", "preset": "modern"},
+    {"obs": "trig", "z": "augment"},
+    {"z": "replace", "z_to": "critic"},
+]
 
 
-@pytest.mark.parametrize(("algo", "preset"), ALL_ARMS)
+@pytest.mark.parametrize("arm", ALL_ARMS, ids=lambda arm: "-".join(arm.values()))
 def test_a_seed_learns_the_same_alone_and_beside_others(
-    algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arm: dict, embedding: Embedding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "BATCH_STEPS", 1000)  # its episodes end at different times
-    config = TrainConfig("cartpole", algo, preset=preset, num_seeds=5, steps=3 * BATCH_STEPS)
-    beside = train(config, tmp_path / "beside")
-    alone = train(replace(config, seed=3, num_seeds=1), tmp_path / "alone")
+    config = TrainConfig("cartpole", num_seeds=5, steps=3 * BATCH_STEPS, **arm)
+    given = [embedding] if config.z != "none" else []
+    beside = train(config, tmp_path / "beside", given)
+    alone = train(replace(config, seed=3, num_seeds=1), tmp_path / "alone", given)
     for key in (*module.HISTORY_KEYS, module.EVALUATION):
         np.testing.assert_array_equal(beside[key][:, 3], alone[key][:, 0])  # bit for bit
     assert (beside["return"][:, 2] != beside["return"][:, 3]).all()
@@ -207,6 +258,77 @@ def test_evaluations_are_apart_from_training(tmp_path: Path) -> None:
     np.testing.assert_array_equal(often["eval_return"][-1], never["eval_return"][-1])
 
 
+def test_an_interrupt_in_an_evaluation_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(SWING_UP, eval_every=2)
+    whole = train(config, tmp_path / "whole")
+    evaluate, calls = module._evaluate, []
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(args[-1])
+        if len(calls) in (1, 3):
+            raise KeyboardInterrupt
+        return evaluate(*args)
+
+    monkeypatch.setattr(module, "_evaluate", interrupted)
+    for _ in range(2):  # in the first evaluation, and in the last
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path / "cut")
+    cut = train(config, tmp_path / "cut")
+    assert calls == [0, 0, 1, 1]
+    for key, expected in whole.items():
+        np.testing.assert_array_equal(expected, cut[key])
+
+
+def test_an_evaluation_is_deterministic_and_the_same_for_every_seed() -> None:
+    observer = Observer(TASKS["cartpole-swingup"], "raw", "none", "both", num_seeds=2)
+    batch = TaskBatch(observer.task, 2 * 20)
+    with ThreadPoolExecutor(1) as threads:
+        arm = module._Arm(SWING_UP, observer, batch, threads)
+        state = module._init(arm)
+        wild = eqx.tree_at(lambda x: x.policy.log_std, state.learners[0], jnp.full(1, 2.0))
+        state = state._replace(
+            learners=(state.learners[0], wild)
+        )  # one policy, two deviations of its actions
+        first, second = module._evaluate(arm, state, 0).history[module.EVALUATION][0]
+    assert first == second
+
+
+def test_an_evaluation_that_is_not_finite_is_kept_as_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "first_returns", lambda rollout: np.array([np.nan, -3.0]))
+    train(replace(SWING_UP, steps=1), tmp_path / "run")
+    policy = load_policy(tmp_path / "run")
+    assert policy.about["returns"] == [None, -3.0] and policy.seed == 1
+
+
+@pytest.mark.parametrize(("algo", "preset", "a_nat"), [("trpo", "paper", 0.0), ("ppo", "paper", 0.02)])
+def test_entropy_is_paid_for(
+    algo: Algo, preset: RLPreset, a_nat: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: dict[str, Any] = {}
+    gae, collected = module.gae, module.collect
+    monkeypatch.setattr(module, "gae", lambda *a, **k: kept.update(paid=a[0]) or gae(*a, **k))
+    monkeypatch.setattr(module, "collect", lambda *a, **k: kept.setdefault("rollout", collected(*a, **k)))
+    train(replace(SWING_UP, algo=algo, preset=preset, steps=1), tmp_path / "run")
+    entropy = 0.5 * np.log(2 * np.pi * np.e)  # of the deviation 1 that a policy begins with
+    np.testing.assert_allclose(kept["paid"] - kept["rollout"].rewards, a_nat * entropy, atol=1e-9)
+
+
+@pytest.mark.parametrize("normalised", [True, False])
+def test_normalised_advantages_do_not_know_a_shift(normalised: bool) -> None:
+    config = TrainConfig("cartpole", "ppo").learning(normalise_advantages=normalised)
+    rollout = roll(TASKS["cartpole"], 4, [0], 20).of_seed(0)
+    observer = Observer(TASKS["cartpole"], "raw", "none", "both")
+    learner = make_learner(config, observer, 1, key=jr.key(0))
+    advantages = np.random.default_rng(0).normal(size=(20, 4))
+    a, b = (
+        learn(learner, rollout, x, advantages, observer, config, key=jr.key(1))[0].policy.mean.weights[0]
+        for x in (advantages, advantages + 3.0)
+    )
+    assert np.allclose(a, b, atol=1e-5) == normalised
+
+
 def test_an_evaluation_counts_the_first_episode_of_each_environment() -> None:
     rollout = roll(TASKS["cartpole"], 4, [0, 1], 100)
     ends = [[np.flatnonzero(rollout.terminated[:, s, e])[0] + 1 for e in range(4)] for s in range(2)]
@@ -240,13 +362,14 @@ def test_a_seed_that_diverges_is_frozen_and_the_others_go_on(
     assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # the finished run says so again
 
 
-def test_an_update_of_ppo_that_is_not_finite_freezes_the_seed() -> None:
-    config = TrainConfig("cartpole", "ppo").learning(ppo=PPOConfig(learning_rate=1e30))
+@pytest.mark.parametrize(("rate", "scale"), [(1e30, 1.0), (1e-3, 1e25)])  # weights, Adam's squares overflow
+def test_an_update_of_ppo_that_is_not_finite_freezes_the_seed(rate: float, scale: float) -> None:
+    config = TrainConfig("cartpole", "ppo").learning(ppo=PPOConfig(learning_rate=rate))
     rollout = roll(TASKS["cartpole"], 4, [0], 20).of_seed(0)
     observer = Observer(TASKS["cartpole"], "raw", "none", "both")
     learner = make_learner(config, observer, 1, key=jr.key(0))
     advantages = np.random.default_rng(0).normal(size=(20, 4))
-    new, numbers = learn(learner, rollout, advantages, advantages, observer, config, key=jr.key(1))
+    new, numbers = learn(learner, rollout, scale * advantages, advantages, observer, config, key=jr.key(1))
     assert new.frozen and numbers["skipped"] == 1
     assert eqx.tree_equal(new.policy, learner.policy)
 

@@ -59,9 +59,7 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
         UsageError: neither a GIF nor an MP4, an odd size of an MP4, or no such camera.
         PlanspaceError: there is no model, no OpenGL works here, or the file cannot be written.
     """
-    suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise UsageError(f"{file} is no film; --out takes FILE.gif or FILE.mp4.")
+    suffix = check_film(file)
     if suffix == ".mp4" and (config.width % 2 or config.height % 2):
         raise UsageError(f"an MP4 needs an even width and height, got {config.width} x {config.height}.")
     encode = _encode_gif if suffix == ".gif" else _mp4_encoder()
@@ -80,6 +78,18 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
 
         film = encode(pictures(), config)
     write_bytes(file, film)
+
+
+def check_film(file: Path) -> str:
+    """The ending of a film's name.
+
+    Raises:
+        UsageError: it is not one of a film.
+    """
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UsageError(f"{file} is no film; give FILE.gif or FILE.mp4.")
+    return suffix
 
 
 def _poses(episode: Episode, fps: int) -> Float[np.ndarray, "picture state"]:

@@ -39,6 +39,8 @@ MIN_DEVIATION = 1e-6
 ONE_THREAD = 2**18
 """OpenBLAS makes a product of so many multiplications in the thread that asks for it. States are encoded in
 blocks as small: a thread it had woken would spin on, on a core that the next step of the physics needs."""
+APART = 8
+"""So many rows or more on the last axis of a batch with several are multiplied apart from the others."""
 
 InputForm = Literal["raw", "standard", "trig"]
 
@@ -219,13 +221,16 @@ class Embedding:
     def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
         """The mean of q(z|x), which is what an agent observes.
 
+        Groups of `APART` or more states, with an axis of groups in front, are rounded as each is by itself,
+        whatever the others are.
+
         Raises:
             PlanspaceError: the states have another number of columns.
         """
         x = self.inputs(self._checked(states))
         *leading, width = x.shape
         rows = max(1, ONE_THREAD // max(weight.size for weight, _ in self._mean_layers))
-        if x.size <= rows * width:
+        if x.size <= rows * width or (x.ndim > 2 and APART <= x.shape[-2] <= rows):
             return self._mean(x)
         x = x.reshape(-1, width)
         blocks = np.zeros((-(-len(x) // rows), rows, width))

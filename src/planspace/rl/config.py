@@ -1,9 +1,9 @@
 """What is trained and how: arms, algorithms, presets. Imports no JAX, so that `--help` answers at once."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from planspace.errors import UsageError
+from planspace.errors import UsageError, unknown
 from planspace.forms import ObsForm
 
 BATCH_STEPS = 4000
@@ -84,6 +84,20 @@ class LearnerConfig:
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Settings of the update, if it is PPO."""
 
+    def __post_init__(self) -> None:
+        """Checks names and sizes.
+
+        Raises:
+            UsageError: there is no such critic, a layer has no units, or `match_z` is negative.
+        """
+        if self.critic not in get_args(CriticName):
+            raise unknown("critic", self.critic, get_args(CriticName))
+        for layers in (self.hidden, self.critic_hidden):
+            if not layers or min(layers) < 1:
+                raise UsageError(f"networks need layers of at least one unit, got {layers}.")
+        if self.match_z < 0:
+            raise UsageError(f"z has at least 0 numbers, got match_z = {self.match_z}.")
+
 
 PRESETS: dict[tuple[Algo, RLPreset], LearnerConfig] = {
     ("trpo", "paper"): LearnerConfig(),
@@ -132,11 +146,20 @@ class TrainConfig:
     """How it learns, where that is not the preset's."""
 
     def __post_init__(self) -> None:
-        """Checks the sizes.
+        """Checks names and sizes.
 
         Raises:
-            UsageError: fewer than one seed or step, or less than none between evaluations.
+            UsageError: there is no such algorithm, preset or form, fewer than one seed or step, a negative
+                seed, less than none between evaluations, or somebody is to see a z that there is not.
         """
+        names = {"algo": Algo, "preset": RLPreset, "obs": ObsForm, "z": ZMode, "z_to": ZTarget}
+        for name, known in names.items():
+            if getattr(self, name) not in get_args(known):
+                raise unknown(name, getattr(self, name), get_args(known))
+        if self.z == "none" and self.z_to != "both":
+            raise UsageError(f"z_to is {self.z_to!r}, but there is no z: give --z augment or --z replace.")
+        if self.seed < 0:
+            raise UsageError(f"seeds are at least 0, got {self.seed}.")
         if self.eval_every < 0:
             raise UsageError(f"evaluations must not be less than 0 iterations apart, got {self.eval_every}.")
         if self.num_seeds < 1 or self.steps < 1:

@@ -2,6 +2,7 @@
 worst to the second best seed, and dashed the run with the highest smoothed return at any point.
 """
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -63,7 +64,7 @@ def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Fi
     """Learning curves of several arms."""
     figure = matplotlib.figure.Figure(figsize=(7, 4.3), layout="constrained")
     axes = figure.subplots()
-    for colour, (label, curve) in zip(COLOURS, curves.items(), strict=False):
+    for colour, (label, curve) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
         steps = curve.steps / 1e6
         axes.fill_between(steps, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
         axes.plot(steps, curve.mean, color=colour, linewidth=2, label=label)

@@ -21,7 +21,7 @@ from planspace.rl.config import LearnerConfig, PPOConfig, TrainConfig, TRPOConfi
 from planspace.rl.critic import Critic, make_critic
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
-from planspace.rl.policy import GaussianPolicy, UpdateInfo
+from planspace.rl.policy import UNIT_ENTROPY, GaussianPolicy, UpdateInfo
 from planspace.rl.rollout import Rollout
 
 
@@ -132,7 +132,7 @@ def learn(
     """
     learns = config.learns
     policy_key, critic_key = jr.split(key)
-    entropy = float(np.sum(np.asarray(learner.policy.log_std) + 0.5 * np.log(2 * np.pi * np.e)))
+    entropy = float(np.sum(np.asarray(learner.policy.log_std) + UNIT_ENTROPY))
     still = {"kl": 0.0, "entropy": entropy, "loss": 0.0, "improvement": 0.0, "skipped": 1.0}
     if learner.frozen or not (np.isfinite(advantages).all() and np.isfinite(returns).all()):
         return eqx.tree_at(lambda x: x.frozen, learner, np.array(True)), still

@@ -22,7 +22,10 @@ class Observer:
     z: ZMode
     z_to: ZTarget
     embeddings: tuple[Embedding, ...] = ()
-    """What makes z: one for all environments, or one for each part of them, in equal parts."""
+    """What makes z: one for all seeds, or one for each."""
+    num_seeds: int = 1
+    """Whose environments follow one another, as many for each seed; what a seed sees does not depend on the
+    others, bit for bit."""
 
     def __post_init__(self) -> None:
         """Checks that the parts fit.
@@ -47,9 +50,7 @@ class Observer:
         if self.z != "replace" or self.z_to != "both":
             parts.append(self.task.observe_as(self.obs, states, targets))
         if self.z != "none":
-            groups = np.split(states, len(self.embeddings))
-            ways = zip(self.embeddings, self._embedded_columns, groups, strict=True)
-            parts.append(np.concatenate([e.encode(group[:, columns]) for e, columns, group in ways]))
+            parts.append(self._encoded(states.reshape(self.num_seeds, -1, states.shape[-1])))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     @property
@@ -61,6 +62,12 @@ class Observer:
     def critic_columns(self) -> slice:
         """The columns the critic reads."""
         return self._columns("critic")
+
+    def _encoded(self, states: Float[np.ndarray, "seed env state"]) -> Float[np.ndarray, "row z"]:
+        groups = [states] if len(self.embeddings) == 1 else list(states[:, None])
+        ways = zip(self.embeddings, self._embedded_columns, groups, strict=True)
+        z = np.concatenate([e.encode(group[..., columns]) for e, columns, group in ways])
+        return z.reshape(-1, z.shape[-1])
 
     @cached_property
     def num_obs(self) -> int:

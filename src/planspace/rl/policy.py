@@ -1,5 +1,7 @@
 """Gaussian policies: a small tanh network for the mean, a deviation that does not depend on the state."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from planspace.embed.gaussian import DiagonalGaussian
 from planspace.rl.mlp import MLP
 
-HIDDEN = (32, 32)
-"""Paper, RL performance: two fully connected layers of 32 units."""
+UNIT_ENTROPY = 0.5 * math.log(2 * math.pi * math.e)
+"""Of N(0, 1) [nat]; the logarithm of a deviation is added to it."""
 
 
 class GaussianPolicy(eqx.Module):
@@ -23,7 +25,7 @@ class GaussianPolicy(eqx.Module):
         num_obs: int,
         num_actions: int,
         *,
-        hidden: tuple[int, ...] = HIDDEN,
+        hidden: tuple[int, ...] = (32, 32),
         layer_norm: bool = False,
         key: Key[Array, ""],
     ):
@@ -44,22 +46,22 @@ class GaussianPolicy(eqx.Module):
 
     def entropy(self) -> Float[Array, ""]:
         """Entropy of the action distribution, the same everywhere [nat]."""
-        return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
+        return jnp.sum(self.log_std + UNIT_ENTROPY)
 
 
 class UpdateInfo(eqx.Module):
     """What an update did to a policy."""
 
-    kl: Float[Array, "*seed"]
+    kl: Float[Array, ""]
     """Mean KL from the old policy to the new [nat]."""
-    loss: Float[Array, "*seed"]
+    loss: Float[Array, ""]
     """Minus the surrogate the algorithm maximises, after the update."""
-    improvement: Float[Array, "*seed"]
+    improvement: Float[Array, ""]
     """Gain of the surrogate."""
-    entropy: Float[Array, "*seed"]
+    entropy: Float[Array, ""]
     """Entropy of the new policy [nat]."""
-    rounds: Int[Array, "*seed"]
-    """Steps that TRPO's line search rejected; epochs of PPO."""
-    skipped: Bool[Array, "*seed"]
+    rounds: Int[Array, ""]
+    """Steps that TRPO's line search tried; epochs of PPO."""
+    skipped: Bool[Array, ""]
     """Whether the parameters stayed as they were: no step was accepted, the curvature was not positive, or
     a number was not finite."""

@@ -57,7 +57,7 @@ def update(
     rows = batch.obs.reshape(-1, batch.obs.shape[-1])
     mean_kl = jnp.mean(jax.vmap(lambda o: kl(policy(o), trained(o)))(rows))
     after = loss(trained, batch, config.clip)
-    leaves = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(trained)]
+    leaves = [jnp.isfinite(leaf).all() for leaf in jax.tree.leaves((trained, trained_adam))]
     usable = jnp.isfinite(after) & jnp.stack(leaves).all()
     chosen, chosen_adam = jax.tree.map(
         lambda a, b: jnp.where(usable, b, a), (policy, adam), (trained, trained_adam)

@@ -10,7 +10,7 @@ from planspace.envs.batch import TaskBatch
 from planspace.rl.mlp import stacked
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
-from planspace.rl.policy import GaussianPolicy
+from planspace.rl.policy import UNIT_ENTROPY, GaussianPolicy
 
 
 class Actor:
@@ -37,7 +37,7 @@ class Actor:
     @property
     def entropy(self) -> Float[np.ndarray, " seed"]:
         """Of each policy's actions, the same everywhere [nat]."""
-        return np.sum(self.log_std + 0.5 * np.log(2 * np.pi * np.e), axis=1)
+        return np.sum(self.log_std + UNIT_ENTROPY, axis=1)
 
     def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:
         """The mean action of each policy in each of its environments."""

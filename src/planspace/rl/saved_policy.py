@@ -91,7 +91,8 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
-    i = int(np.argmax(about["returns"])) if seed == "best" else seeds.index(seed)
+    returns = [-np.inf if x is None else x for x in about["returns"]]  # none: it was not finite
+    i = int(np.argmax(returns)) if seed == "best" else seeds.index(seed)
     arrays = {k: v[i : i + 1] for k, v in read_arrays(run / WEIGHTS, sha256=about["weights_sha256"]).items()}
     layers = range(sum(name.endswith(".weight") for name in arrays))
     network = Stack(

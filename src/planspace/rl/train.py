@@ -16,7 +16,7 @@ from jaxtyping import Float
 import planspace
 from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.cores import count_cores
-from planspace.embed.embedding import Embedding
+from planspace.embed.embedding import DESCRIPTION, Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress
@@ -28,7 +28,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.store import Arrays, append_row, open_run, read_arrays, write_arrays
-from planspace.tasks import find_task
+from planspace.tasks import Task, find_task
 from planspace.track import TrackerName, open_trackers
 
 CHECKPOINT_EVERY = 10
@@ -77,6 +77,11 @@ class _Arm:
     threads: ThreadPoolExecutor
     """The seeds learn side by side in these."""
 
+    @property
+    def steps(self) -> int:
+        """Steps an iteration and seed: an episode's length in each of its environments."""
+        return num_episodes(self.batch.task) * self.batch.task.horizon
+
 
 def train(
     config: TrainConfig,
@@ -107,11 +112,11 @@ def train(
     """
     task = find_task(config.task)
     given = tuple(embeddings)
-    observer = Observer(task, config.obs, config.z, config.z_to, _dealt(given, config))
+    observer = Observer(task, config.obs, config.z, config.z_to, _dealt(given, config), config.num_seeds)
     open_run(out, _settings(config, given))
     if (out / HISTORY).exists():
         return read_arrays(out / HISTORY)
-    batch = TaskBatch(task, config.num_seeds * (BATCH_STEPS // task.horizon))
+    batch = TaskBatch(task, config.num_seeds * num_episodes(task))
     with ThreadPoolExecutor(min(count_cores(), config.num_seeds)) as threads:
         arm = _Arm(config, observer, batch, threads)
         state, first = _init(arm), 0
@@ -120,13 +125,18 @@ def train(
             state, first = saved[0], saved[1]["iteration"]
         state = _run(arm, state, first, out, track)
     history = {
-        "steps": BATCH_STEPS * np.arange(1, config.iterations + 1),
-        "eval_steps": BATCH_STEPS * np.array(config.evaluations),
+        "steps": arm.steps * np.arange(1, config.iterations + 1),
+        "eval_steps": arm.steps * np.array(config.evaluations),
         **{key: np.asarray(value) for key, value in state.history.items()},
     }
     _save_policies(arm, given, state, out)
     write_arrays(out / HISTORY, history)
     return history
+
+
+def num_episodes(task: Task) -> int:
+    """Environments a seed: as many whole episodes as come nearest to `BATCH_STEPS`."""
+    return max(1, round(BATCH_STEPS / task.horizon))
 
 
 def load_history(run: Path) -> Arrays:
@@ -149,6 +159,8 @@ def frozen_seeds(config: TrainConfig, history: Arrays) -> str:
 
 def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
     """The embeddings as the seeds take them."""
+    if embeddings and config.z == "none":
+        raise UsageError("an embedding was given, but z is 'none': give --z augment or --z replace.")
     if len(embeddings) <= 1:
         return embeddings
     if len(embeddings) > config.num_seeds:
@@ -157,12 +169,11 @@ def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embe
 
 
 def _settings(config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
-    hashes = [] if config.z == "none" else [embedding.hash for embedding in embeddings]
     versions = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}
     return {
         **asdict(config),
         "learner": asdict(config.learns),
-        "embeddings": hashes,
+        "embeddings": [embedding.hash for embedding in embeddings],
         "versions": versions,
     }
 
@@ -188,20 +199,20 @@ def _run(arm: _Arm, state: _State, first: int, out: Path, track: Sequence[Tracke
     ):
 
         def save() -> None:
-            save_checkpoint(out, state, {"iteration": done})
             for i in range(saved, done):
                 row = {key: state.history[key][i].tolist() for key in HISTORY_KEYS}
                 if i + 1 in config.evaluations:
                     row[EVALUATION] = state.history[EVALUATION][config.evaluations.index(i + 1)].tolist()
-                append_row(out / "log.jsonl", {"iteration": i + 1, "time": time.time(), **row})
-                add_scalars((i + 1) * BATCH_STEPS, _scalars(config, row))
+                append_row(out / "log.jsonl", {"iteration": i + 1, "saved": time.time(), **_without_nan(row)})
+                add_scalars((i + 1) * arm.steps, _scalars(config, row))
+            save_checkpoint(out, state, {"iteration": done})
 
         try:
             while done < config.iterations:
-                state = _iterate(arm, state, done)
-                done += 1
-                if done in config.evaluations:
-                    state = _evaluate(arm, state, config.evaluations.index(done))
+                new = _iterate(arm, state, done)
+                if done + 1 in config.evaluations:
+                    new = _evaluate(arm, new, config.evaluations.index(done + 1))
+                state, done = new, done + 1  # together, so that an interrupt finds both or neither
                 if done % CHECKPOINT_EVERY == 0 or done == config.iterations:
                     save()
                     saved = done
@@ -218,9 +229,8 @@ def _run(arm: _Arm, state: _State, first: int, out: Path, track: Sequence[Tracke
 def _iterate(arm: _Arm, state: _State, iteration: int) -> _State:
     config, learner = arm.config, arm.config.learns
     rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in config.seeds]
-    num_steps = BATCH_STEPS * config.num_seeds // len(arm.batch.states)
     actor = _actor(arm, state)
-    rollout = collect(arm.batch, arm.observer, actor, num_steps, rngs)
+    rollout = collect(arm.batch, arm.observer, actor, arm.batch.task.horizon, rngs)
     parts = [rollout.of_seed(i) for i in range(config.num_seeds)]
 
     def ask(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -287,7 +297,7 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
     folders = [EMBEDDING] if len(embeddings) == 1 else [f"{EMBEDDING}-{i}" for i in range(len(embeddings))]
     if config.z != "none":
         for embedding, folder in zip(embeddings, folders, strict=True):
-            if not (out / folder).exists():
+            if not (out / folder / DESCRIPTION).exists():
                 embedding.save(out / folder)
     networks = [x.policy.mean for x in state.learners]
     arrays = {}
@@ -311,10 +321,15 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
         "action_high": arm.batch.simulator.control_high.tolist(),
         "seeds": list(config.seeds),
         "embeddings": [folders[seed % len(folders)] for seed in config.seeds] if config.z != "none" else [],
-        "returns": state.history[EVALUATION][-1].tolist(),
+        **_without_nan({"returns": state.history[EVALUATION][-1].tolist()}),
         "versions": {"planspace": planspace.__version__},
     }
     save_policies(out, arrays, about)
+
+
+def _without_nan(row: dict[str, list[float]]) -> dict[str, list[float | None]]:
+    """As JSON can hold it."""
+    return {key: [x if np.isfinite(x) else None for x in numbers] for key, numbers in row.items()}
 
 
 def _scalars(config: TrainConfig, row: dict[str, list[float]]) -> dict[str, float]:

@@ -35,7 +35,7 @@ def update(
         return surrogate, jnp.mean(jax.vmap(kl)(old, new))
 
     before, gradient = jax.value_and_grad(lambda t: surrogate_and_kl(t)[0])(theta)
-    fisher = fisher_product(lambda t: rebuild(t), theta, obs)
+    fisher = fisher_product(rebuild, theta, obs)
     direction = conjugate_gradient(lambda v: fisher(v) + config.cg_damping * v, gradient, config.cg_steps)
     curvature = direction @ (fisher(direction) + config.cg_damping * direction)
     usable = jnp.isfinite(curvature) & (curvature > 0) & jnp.isfinite(gradient).all()
@@ -66,7 +66,7 @@ def update(
         loss=-(before + jnp.where(accepted, improvement, 0.0)),
         improvement=jnp.where(accepted, improvement, 0.0),
         entropy=chosen.entropy(),
-        rounds=k,
+        rounds=k + 1,
         skipped=~accepted,
     )
     return chosen, info

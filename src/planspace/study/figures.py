@@ -1,5 +1,6 @@
 """The study's figures: matplotlib for paper and README, Plotly for the report one can hover over."""
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +21,7 @@ MAX_PATHS = 20
 def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
     """The same, to hover over."""
     figure = go.Figure()
-    for colour, (label, c) in zip(COLOURS, curves.items(), strict=False):
+    for colour, (label, c) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
         band = {"mode": "lines", "line_width": 0, "hoverinfo": "skip", "legendgroup": label}
         figure.add_scatter(x=c.steps, y=c.high, showlegend=False, **band)
         figure.add_scatter(

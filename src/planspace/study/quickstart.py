@@ -108,7 +108,10 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
     demos = load_demos(out / "demos")
     embedding = fit(demos, out / "embedding", config=budget.fit, num_seeds=budget.embedding_seeds, seed=seed)
     arms = _arms(task_name, budget, seed)
-    histories = {label: train(config, out / "train" / folder, [embedding]) for label, folder, config in arms}
+    histories = {
+        label: train(config, out / "train" / folder, [] if config.z == "none" else [embedding])
+        for label, folder, config in arms
+    }
     summary = summarise(task_name, budget_name, seed, demos, embedding, histories)
     reports = [(label, frozen_seeds(config, histories[label])) for label, _, config in arms]
     summary["diverged"] = [f"{label}: {text}" for label, text in reports if text]
