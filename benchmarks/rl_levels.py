@@ -93,9 +93,7 @@ def run_arm(name: str, runs: Path) -> None:
 
 
 def table(names: list[str]) -> None:
-    print(
-        f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}{'frozen':>8}   check (worst, best)"
-    )
+    print(f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}{'frozen':>8}   check")
     for name in names:
         result = read_json(RESULTS / f"{name}.json")
         last = np.array(result["last"])

@@ -160,8 +160,10 @@ def compare(num_seeds: int, repeats: int) -> None:
 
 
 def growth() -> None:
-    """What a second goes to: physics, what else acting takes, the seeds' updates if they kept all cores busy
-    (their time summed, over the cores), and the rest: waiting for the last of them, advantages, copies, files.
+    """What a second goes to.
+
+    Physics; what else acting takes; the seeds' updates if they kept all cores busy (their time summed, over
+    the cores); and the rest: waiting for the last of them, advantages, copies, files.
     """
     print(f"{'':<16}{'seeds':>6}{'steps/s':>12}{'physics':>10}{'policy':>10}{'update':>10}{'the rest':>10}")
     for algo, preset in ARMS:
