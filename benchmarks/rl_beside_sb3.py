@@ -2,7 +2,7 @@
 
     python benchmarks/rl_beside_sb3.py
 
-Swing-up with sin and cos, 300,000 steps a seed, with the settings the libraries share: 4000 steps an
+Swing-up with sin and cos, 200,000 steps a seed, with the settings the libraries share: 4000 steps an
 iteration in 20 environments, 2 x 32 tanh, discount 0.99; TRPO with 10 conjugate gradient steps, max KL 0.01,
 lambda 0.98; PPO with 10 epochs of minibatches of 500, Adam 1e-3, clip 0.2, lambda 0.95. The critics differ:
 theirs trains by gradient steps beside the policy, ours is fitted anew. Each seed of theirs is kept in
@@ -27,7 +27,7 @@ from planspace.tasks import TASKS
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 TASK, OBS = TASKS["cartpole-swingup"], "trig"
-NUM_SEEDS, STEPS = 10, 300_000
+NUM_SEEDS, STEPS = 10, 200_000
 ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
 SHARED: dict[Algo, LearnerConfig] = {
     "trpo": replace(PRESETS["trpo", "paper"], critic="mlp", bootstrap_timeout=True),
