@@ -105,13 +105,19 @@ PRESETS: dict[tuple[Algo, RLPreset], LearnerConfig] = {
         gae_lambda=0.95, critic="mlp", normalise_advantages=False, entropy_reward=0.02
     ),
     # not the linear critic: what it says beyond the time limit feeds on itself and can run away
-    ("trpo", "modern"): LearnerConfig(critic="mlp", normalise_obs=True, bootstrap_timeout=True),
+    ("trpo", "modern"): LearnerConfig(
+        gae_lambda=0.95,
+        critic="mlp",
+        normalise_obs=True,
+        bootstrap_timeout=True,
+        trpo=TRPOConfig(max_kl=0.02),
+    ),
     ("ppo", "modern"): LearnerConfig(
         gae_lambda=0.95,
         critic="mlp",
         normalise_obs=True,
         bootstrap_timeout=True,
-        ppo=PPOConfig(minibatch=500, of_steps=True, tolerance=0.0, clip_norm=0.5),
+        ppo=PPOConfig(learning_rate=5e-4, minibatch=125, of_steps=True, tolerance=0.0, clip_norm=0.5),
     ),
 }
 """`paper`: the paper, and where it is silent the garage release the 2020 runs used. `modern`: what measured

@@ -1,0 +1,68 @@
+"""What the `modern` presets were chosen from: variants of one setting or two, six seeds (100 to 105) each.
+
+    python benchmarks/rl_modern.py [--out DIR]
+
+The seeds are others than those that any result is reported on. Each variant is kept in
+results/rl/modern/TASK-VARIANT.json as it is done, and not run again. An hour on two cores.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from planspace.rl.config import Algo, LearnerConfig, PPOConfig, TrainConfig, TRPOConfig
+from planspace.rl.train import train
+from planspace.store import read_json, write_bytes
+
+RESULTS = Path(__file__).parent.parent / "results" / "rl" / "modern"
+FIRST_SEED, NUM_SEEDS = 100, 6
+TASKS = {
+    "cartpole-swingup": ("trig", 960_000),
+    "cartpole": ("raw", 200_000),
+    "reacher-trig": ("raw", 400_000),
+}
+BASE = LearnerConfig(critic="mlp", normalise_obs=True, bootstrap_timeout=True)
+STEPS = PPOConfig(minibatch=500, of_steps=True, tolerance=0.0, clip_norm=0.5)
+PPO = replace(BASE, gae_lambda=0.95, ppo=STEPS)
+FINER = replace(STEPS, minibatch=125, learning_rate=5e-4)
+VARIANTS: dict[str, tuple[Algo, LearnerConfig]] = {
+    "ppo-base": ("ppo", PPO),
+    "ppo-lr5e-4": ("ppo", replace(PPO, ppo=replace(STEPS, learning_rate=5e-4))),
+    "ppo-mb250": ("ppo", replace(PPO, ppo=replace(STEPS, minibatch=250))),
+    "ppo-mb125-lr5e-4": ("ppo", replace(PPO, ppo=FINER)),
+    "ppo-mb125-lr5e-4-lam98": ("ppo", replace(PPO, gae_lambda=0.98, ppo=FINER)),
+    "ppo-nonorm": ("ppo", replace(PPO, normalise_obs=False)),
+    "ppo-noboot": ("ppo", replace(PPO, bootstrap_timeout=False)),
+    "ppo-lam98": ("ppo", replace(PPO, gae_lambda=0.98)),
+    "trpo-base": ("trpo", BASE),
+    "trpo-linear-noboot": ("trpo", replace(BASE, critic="linear", bootstrap_timeout=False)),
+    "trpo-kl02": ("trpo", replace(BASE, trpo=TRPOConfig(max_kl=0.02))),
+    "trpo-kl02-lam95": ("trpo", replace(BASE, gae_lambda=0.95, trpo=TRPOConfig(max_kl=0.02))),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/rl-modern"), help="folder of the runs")
+    options = parser.parse_args()
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    print("command: python benchmarks/rl_modern.py; mean of the last 10 iterations (worst, best); of all")
+    for task, (obs, steps) in TASKS.items():
+        for name, (algo, learner) in VARIANTS.items():
+            path = RESULTS / f"{task}-{name}.json"
+            if not path.exists():
+                seeds = {"num_seeds": NUM_SEEDS, "seed": FIRST_SEED}
+                config = TrainConfig(task, algo, obs, steps=steps, preset="modern", learner=learner, **seeds)
+                returns = train(config, options.out / path.stem)["return"]
+                last = returns[-10:].mean(axis=0)
+                row = {"mean": last.mean(), "worst": last.min(), "best": last.max(), "area": returns.mean()}
+                rounded = {key: round(float(value), 1) for key, value in row.items()}
+                write_bytes(path, (json.dumps(rounded) + "\n").encode())
+            row = read_json(path)
+            numbers = f"{row['mean']:>8} ({row['worst']}, {row['best']})"
+            print(f"{task:<18}{name:<24}{numbers:<28}{row['area']:>8}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
