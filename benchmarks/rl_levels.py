@@ -20,7 +20,7 @@ from planspace.errors import PartialResult
 from planspace.figure import save_figure
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.curves import SMOOTHING, Curve, learning_curve, plot_curves
-from planspace.rl.train import load_history
+from planspace.rl.history import load_history
 from planspace.store import read_json, write_bytes
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"

@@ -476,7 +476,8 @@ class Train:
         from planspace.figure import save_figure
         from planspace.rl.config import TrainConfig
         from planspace.rl.curves import learning_curve, plot_curves
-        from planspace.rl.train import frozen_seeds, num_episodes, train
+        from planspace.rl.history import frozen_seeds
+        from planspace.rl.train import num_episodes, train
         from planspace.tasks import TASKS, find_task
 
         if not self.task:
@@ -504,7 +505,7 @@ class Train:
         print(
             save_figure(plot_curves({self.out.name: learning_curve(history)}, self.task), self.out, "curve")
         )
-        if frozen := frozen_seeds(config, history):
+        if frozen := frozen_seeds(history, config.seeds):
             raise PartialResult(
                 f"{frozen}: numbers that are not finite. Each was frozen with the policy it had; the others "
                 "went on, and everything is saved."
@@ -527,7 +528,7 @@ class Curves:
         """Draws them."""
         from planspace.figure import save_figure
         from planspace.rl.curves import learning_curve, plot_curves
-        from planspace.rl.train import load_history
+        from planspace.rl.history import load_history
         from planspace.store import make_folder
 
         if not self.runs:

@@ -21,11 +21,12 @@ from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, PPOConfig, RLPreset, TrainConfig
 from planspace.rl.critic import LinearCritic, MLPCritic, features
+from planspace.rl.history import load_history
 from planspace.rl.learner import learn, make_learner, matched, values
 from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
 from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first_returns
-from planspace.rl.train import load_history, train
+from planspace.rl.train import train
 from planspace.tasks import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)

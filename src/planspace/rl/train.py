@@ -18,10 +18,11 @@ from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.cores import count_cores
 from planspace.embed.embedding import DESCRIPTION, Embedding
 from planspace.envs.batch import TaskBatch
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import UsageError
 from planspace.progress import progress
 from planspace.rl.advantage import discounted_returns, gae
 from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.history import EVALUATION, HISTORY, HISTORY_KEYS, scalars, with_row, without_nan
 from planspace.rl.learner import Learner, learn, make_learner, values
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
@@ -33,24 +34,8 @@ from planspace.track import TrackerName, open_trackers
 
 CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
-HISTORY = "history.safetensors"
 EVALUATION_SEED = 20_201_026
 """Evaluations start where this stream says: every seed of every arm is asked the same."""
-
-HISTORY_KEYS = (
-    "return",
-    "length",
-    "kl",
-    "entropy",
-    "loss",
-    "improvement",
-    "explained_variance",
-    "skipped",
-    "frozen",
-)
-"""What is recorded for each iteration and seed; see `episode_returns`, `UpdateInfo` and `Learner`."""
-EVALUATION = "eval_return"
-"""Mean return of deterministic episodes, apart from training, at each of `TrainConfig.evaluations`."""
 
 
 class _State(NamedTuple):
@@ -139,24 +124,6 @@ def num_episodes(task: Task) -> int:
     return max(1, round(BATCH_STEPS / task.horizon))
 
 
-def load_history(run: Path) -> Arrays:
-    """The history of a finished run, as `train` returns it.
-
-    Raises:
-        PlanspaceError: there is none, or it is damaged.
-    """
-    if not (run / HISTORY).exists():
-        raise PlanspaceError(f"{run} holds no finished training: it has no {HISTORY}.")
-    return read_arrays(run / HISTORY)
-
-
-def frozen_seeds(config: TrainConfig, history: Arrays) -> str:
-    """Names the seeds that diverged and the iteration at which each did; empty if none."""
-    rows = history["frozen"]
-    found = [(config.seeds[i], int(rows[:, i].argmax()) + 1) for i in np.flatnonzero(rows[-1])]
-    return ", ".join(f"seed {seed} diverged in iteration {iteration}" for seed, iteration in found)
-
-
 def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
     """The embeddings as the seeds take them."""
     if embeddings and config.z == "none":
@@ -203,8 +170,8 @@ def _run(arm: _Arm, state: _State, first: int, out: Path, track: Sequence[Tracke
                 row = {key: state.history[key][i].tolist() for key in HISTORY_KEYS}
                 if i + 1 in config.evaluations:
                     row[EVALUATION] = state.history[EVALUATION][config.evaluations.index(i + 1)].tolist()
-                append_row(out / "log.jsonl", {"iteration": i + 1, "saved": time.time(), **_without_nan(row)})
-                add_scalars((i + 1) * arm.steps, _scalars(config, row))
+                append_row(out / "log.jsonl", {"iteration": i + 1, "saved": time.time(), **without_nan(row)})
+                add_scalars((i + 1) * arm.steps, scalars(row, config.seeds))
             save_checkpoint(out, state, {"iteration": done})
 
         try:
@@ -258,7 +225,7 @@ def _iterate(arm: _Arm, state: _State, iteration: int) -> _State:
         shares = zip(np.moveaxis(returns, 1, 0), np.moveaxis(value, 1, 0), strict=True)
         row["explained_variance"] = np.array([_explained_variance(*share) for share in shares])
     row["frozen"] = np.array([float(x.frozen) for x in learners])
-    return _State(learners, _with_row(state.history, row, iteration))
+    return _State(learners, with_row(state.history, row, iteration))
 
 
 def _evaluate(arm: _Arm, state: _State, number: int) -> _State:
@@ -267,7 +234,7 @@ def _evaluate(arm: _Arm, state: _State, number: int) -> _State:
     horizon = arm.batch.task.horizon
     rollout = collect(arm.batch, arm.observer, _actor(arm, state), horizon, rngs, noise=False)
     row = {EVALUATION: first_returns(rollout)}
-    return _State(state.learners, _with_row(state.history, row, number))
+    return _State(state.learners, with_row(state.history, row, number))
 
 
 def _actor(arm: _Arm, state: _State) -> Actor:
@@ -281,14 +248,6 @@ def _explained_variance(
     """How much of the returns' variance the critic knew beforehand."""
     returns, value = np.ascontiguousarray(returns), np.ascontiguousarray(value)  # sums in one order
     return float(1.0 - np.var(returns - value) / max(np.var(returns), 1e-12))
-
-
-def _with_row(history: dict[str, Any], row: dict[str, np.ndarray], number: int) -> dict[str, Any]:
-    updated = dict(history)
-    for key, numbers in row.items():
-        updated[key] = np.array(history[key])
-        updated[key][number] = numbers
-    return updated
 
 
 def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, out: Path) -> None:
@@ -321,21 +280,7 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
         "action_high": arm.batch.simulator.control_high.tolist(),
         "seeds": list(config.seeds),
         "embeddings": [folders[seed % len(folders)] for seed in config.seeds] if config.z != "none" else [],
-        **_without_nan({"returns": state.history[EVALUATION][-1].tolist()}),
+        **without_nan({"returns": state.history[EVALUATION][-1].tolist()}),
         "versions": {"planspace": planspace.__version__},
     }
     save_policies(out, arrays, about)
-
-
-def _without_nan(row: dict[str, list[float]]) -> dict[str, list[float | None]]:
-    """As JSON can hold it."""
-    return {key: [x if np.isfinite(x) else None for x in numbers] for key, numbers in row.items()}
-
-
-def _scalars(config: TrainConfig, row: dict[str, list[float]]) -> dict[str, float]:
-    """A row of the history by names that group in a viewer."""
-    return {
-        f"{key}/seed {seed}": numbers[i]
-        for key, numbers in row.items()
-        for i, seed in enumerate(config.seeds)
-    }

@@ -17,7 +17,8 @@ from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
-from planspace.rl.train import frozen_seeds, train
+from planspace.rl.history import frozen_seeds
+from planspace.rl.train import train
 from planspace.store import CONFIG, Arrays, open_run, read_json, write_json
 from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task
@@ -113,7 +114,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
         for label, folder, config in arms
     }
     summary = summarise(task_name, budget_name, seed, demos, embedding, histories)
-    reports = [(label, frozen_seeds(config, histories[label])) for label, _, config in arms]
+    reports = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]
     summary["diverged"] = [f"{label}: {text}" for label, text in reports if text]
     write_json(out / "summary.json", summary)
     write_report(out, summary, demos, embedding, histories)
