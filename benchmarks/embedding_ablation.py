@@ -119,7 +119,7 @@ def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
         "cartpole-swingup", obs="trig", z="augment", num_seeds=count, seed=first, steps=STEPS
     )
     with tempfile.TemporaryDirectory() as folder:
-        history = train(config, Path(folder) / "run", embedding)
+        history = train(config, Path(folder) / "run", [embedding])
     return history["return"][-LAST:].mean(axis=0).tolist()
 
 

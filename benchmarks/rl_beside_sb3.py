@@ -1,6 +1,6 @@
 """Learning curves of ten seeds beside those of Stable-Baselines3 and sb3-contrib, as an illustration.
 
-    python benchmarks/rl_beside_sb3.py
+    OPENBLAS_NUM_THREADS=1 python benchmarks/rl_beside_sb3.py
 
 Swing-up with sin and cos, 200,000 steps a seed, with the settings the libraries share: 4000 steps an
 iteration in 20 environments, 2 x 32 tanh, discount 0.99; TRPO with 10 conjugate gradient steps, max KL 0.01,

@@ -1,6 +1,6 @@
 """The levels that TRPO and PPO reach: 15 seeds an arm, seeds 0 to 14, none dropped, beside the check figures.
 
-    python benchmarks/rl_levels.py [ARM ...] [--out DIR]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/rl_levels.py [ARM ...] [--out DIR]
 
 Each arm is one `planspace train`, whose command is kept with its returns in results/rl/ARM.json; an arm whose
 file is there is not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the

@@ -1,6 +1,6 @@
 """What the `modern` presets were chosen from: variants of one setting or two, six seeds (100 to 105) each.
 
-    python benchmarks/rl_modern.py [--out DIR]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/rl_modern.py [--out DIR]
 
 The seeds are others than those that any result is reported on. Each variant is kept in
 results/rl/modern/TASK-VARIANT.json as it is done, and not run again. An hour on two cores.
