@@ -59,6 +59,11 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["demos", "import", "a.csv", "--dt", "0", "--out", "x"], "--dt must be a positive number"),
         (["demos", "import", "a.out", "--out", "x"], "give --problem"),
         (["measure"], "Missing from planspace measure: EMBEDDING"),
+        (["curves", "--out", "x"], "which runs? Give folders that `planspace train` made"),
+        (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
+        (["train", "cartpole", "--seed", "-1", "--out", "x"], "seeds are at least 0, got -1"),
+        (["train", "cartpole", "--hidden", "0", "--out", "x"], "layers of at least one unit"),
+        (["play", "x", "--video", "x.txt"], "x.txt is no film; give FILE.gif or FILE.mp4"),
         (["export", "e"], "Missing from planspace export: FILE"),
         (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
     ],
@@ -119,6 +124,9 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
     assert code == 0 and "--steps 4001 rounded to 8000" in err
     assert "return, last iteration  mean " in out and "return, evaluation      mean " in out
+    assert (run / "curve.svg").exists()
+    assert call(capsys, "curves", run, run, "--out", tmp_path / "curves")[0] == 0
+    assert (tmp_path / "curves" / "curves.png").exists()
 
 
 def test_recordings_come_in_and_go_out_as_csv(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
