@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -274,10 +273,13 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "planspace", "train", "cartpole-swingup", "--seeds", "1"]
+    heed = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # ignored in the background
+    )
+    start = f"{heed}; from planspace.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", start, "train", "cartpole-swingup", "--seeds", "1"]
     command += ["--steps", "400000", "--out", str(tmp_path / "run")]
-    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # who tests in the background ignores it
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     checkpoint = tmp_path / "run" / "checkpoint" / "state.safetensors"
     deadline = time.monotonic() + 60
     while not checkpoint.exists() and time.monotonic() < deadline:
