@@ -17,7 +17,7 @@ import optax
 from jaxtyping import Array, Float, Key
 
 from planspace.rl import ppo, trpo
-from planspace.rl.config import LearnerConfig, PPOConfig, TrainConfig, TRPOConfig
+from planspace.rl.config import LearnerConfig, PPOConfig, TrainConfig
 from planspace.rl.critic import Critic, make_critic
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
@@ -183,15 +183,7 @@ def _updated(
     return _update_ppo(learner.policy, learner.adam, *parts, key, learns.ppo)
 
 
-@functools.partial(jax.jit, static_argnames="config")
-def _update_trpo(
-    policy: GaussianPolicy,
-    obs: Float[Array, "sample obs"],
-    actions: Float[Array, "sample action"],
-    advantages: Float[Array, " sample"],
-    config: TRPOConfig,
-) -> tuple[GaussianPolicy, UpdateInfo]:
-    return trpo.update(policy, obs, actions, advantages, config)
+_update_trpo = jax.jit(trpo.update, static_argnames="config")
 
 
 @functools.partial(jax.jit, static_argnames="config")

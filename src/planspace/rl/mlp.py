@@ -43,9 +43,11 @@ class MLP(eqx.Module):
 
 def stacked(networks: Sequence[MLP]) -> Stack:
     """Networks of one shape, one a seed, in NumPy."""
+    return Stack(*stacked_layers(networks), layer_norm=networks[0].layer_norm)
+
+
+def stacked_layers(networks: Sequence[MLP]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Weights [seed, out, in] and biases [seed, out] of each layer."""
     layers = range(len(networks[0].weights))
-    return Stack(
-        [np.stack([np.asarray(n.weights[k]) for n in networks]) for k in layers],
-        [np.stack([np.asarray(n.biases[k]) for n in networks]) for k in layers],
-        layer_norm=networks[0].layer_norm,
-    )
+    weights = [np.stack([np.asarray(n.weights[k]) for n in networks]) for k in layers]
+    return weights, [np.stack([np.asarray(n.biases[k]) for n in networks]) for k in layers]

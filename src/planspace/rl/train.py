@@ -24,6 +24,7 @@ from planspace.rl.advantage import discounted_returns, gae
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.history import EVALUATION, HISTORY, HISTORY_KEYS, scalars, with_row, without_nan
 from planspace.rl.learner import Learner, learn, make_learner, values
+from planspace.rl.mlp import stacked_layers
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
@@ -259,10 +260,9 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
             if not (out / folder / DESCRIPTION).exists():
                 embedding.save(out / folder)
     networks = [x.policy.mean for x in state.learners]
-    arrays = {}
-    for n in range(len(networks[0].weights)):
-        arrays[f"{n}.weight"] = np.stack([np.asarray(network.weights[n]) for network in networks])
-        arrays[f"{n}.bias"] = np.stack([np.asarray(network.biases[n]) for network in networks])
+    weights, biases = stacked_layers(networks)
+    arrays = {f"{n}.weight": weight for n, weight in enumerate(weights)}
+    arrays |= {f"{n}.bias": bias for n, bias in enumerate(biases)}
     arrays["log_std"] = np.stack([np.asarray(x.policy.log_std) for x in state.learners])
     if config.learns.normalise_obs:
         arrays |= ObsStatistics.stacked([x.statistics for x in state.learners])._asdict()
