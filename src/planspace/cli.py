@@ -8,7 +8,7 @@ import io
 import json
 import sys
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,8 +18,8 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 from planspace.embed.config import Metric, ObjectiveName, PresetName
 from planspace.embed.embedding import InputForm
 from planspace.errors import PartialResult, PlanspaceError, UsageError, unknown
-from planspace.forms import ObsForm
-from planspace.rl.config import Algo, CriticName, RLPreset, ZMode, ZTarget
+from planspace.forms import ObsForm, RewardForm
+from planspace.rl.config import Algo, CriticName, RLPreset, ShapingForm, ZMode, ZTarget
 from planspace.track import TrackerName
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
@@ -446,6 +446,13 @@ class Train:
     """augment: the observation and z. replace: z alone."""
     z_to: ZTarget = "both"
     """Who sees z."""
+    reward: RewardForm = "dense"
+    """sparse: 1 at the goal, 0 elsewhere. 2020: the swing-up's as the code of 2020 had it."""
+    shaping: ShapingForm = "none"
+    """Reward coming nearer to the goal, too: by the distance in z, or between raw states. The returns that
+    are reported are the task's own."""
+    shaping_scale: Annotated[float, arg(metavar="X")] = 10.0
+    """What the way from a mean start to the goal is worth in return."""
     embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
     """What makes z; needed where there is z. Several are taken in turn: seed s takes number s modulo how many
     there are, so that the spread over seeds is that over embeddings as well."""
@@ -482,8 +489,8 @@ class Train:
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
-        arm = self.task, self.algo, self.obs, self.z, self.z_to
-        config = TrainConfig(*arm, self.seeds, self.seed, self.steps, self.eval_every, self.preset)
+        given = {f.name: getattr(self, f.name) for f in fields(TrainConfig) if hasattr(self, f.name)}
+        config = TrainConfig(**given, num_seeds=self.seeds)
         chosen = {
             "critic": self.critic,
             "hidden": self.hidden,
@@ -574,6 +581,48 @@ class Play:
 
 
 @dataclass(frozen=True)
+class Study:
+    """Run a study: its embeddings and policies in parallel, then its claims, tables, figures and report."""
+
+    name: Positional[Annotated[str, arg(metavar="NAME")]] = ""
+    """paper: the paper's experiments and claims. controls: why an embedding helps. demos: what demonstrations
+    must be like. shaping: whether distance in z says which way to go. recipe: how surely the swing-up can be
+    learned. Without a name they are listed."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
+    """Where results go: DIR/NAME-BUDGET/report.html, and DIR/units for what each unit found. Studies that
+    share DIR share the units they have in common. The same command goes on where one was interrupted."""
+    budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
+    """Steps a seed. smoke: minutes in all, to see that it works. half: 1 M. full: 2 M. paper: 8 M (2020)."""
+    workers: Annotated[int, arg(metavar="N")] = 0
+    """Processes; 0 takes one for each core. The result does not depend on it."""
+    seeds: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 15; 25 or 75 where nested)")] = 0
+    """Policies an arm, in blocks of 5. A larger number adds to those that were run."""
+    only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
+    """Only arms whose name (figure/arm) contains this, such as 'swingup, TRPO'; may be given again."""
+    report: bool = False
+    """Run nothing; write the report of what is there."""
+
+    def __call__(self) -> None:
+        """Runs what is left of it, writes the report and prints the tables."""
+        from planspace.study.grid import STUDIES, make_study
+        from planspace.study.report import write_report
+        from planspace.study.run import failures, run_study
+        from planspace.study.summary import as_text, read_findings
+
+        if not self.name:
+            raise UsageError(f"which study? There are {', '.join(STUDIES)}.")
+        if self.workers < 0:
+            raise UsageError("--workers must not be negative.")
+        study = make_study(self.name, self.budget, seeds=self.seeds).only(self.only)
+        failed = {} if self.report else run_study(study, self.out, self.workers)
+        summary, page = write_report(read_findings(study, self.out), self.out)
+        print(f"{as_text(summary)}\n\nreport           {page}")
+        if failed:
+            lines = " ".join(failures(failed, study))
+            raise PartialResult(f"{len(failed)} units failed; the rest is done. {lines}")
+
+
+@dataclass(frozen=True)
 class Report:
     """Write the report of a `planspace run` anew; what the run had not finished is finished first."""
 
@@ -615,6 +664,7 @@ Command = (
     | Annotated[Train, subcommand("train")]
     | Annotated[Curves, subcommand("curves")]
     | Annotated[Play, subcommand("play")]
+    | Annotated[Study, subcommand("study")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]
 )

@@ -1,10 +1,33 @@
-"""How many processes or threads are worth starting."""
+"""How many processes or threads are worth starting, and how processes keep out of each other's way."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+def available_cores() -> list[int]:
+    """CPU cores this process may run on: fewer than the machine has where it is pinned to some."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
 
 
 def count_cores() -> int:
-    """CPU cores this process may run on: fewer than the machine has where it is pinned to some."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """How many they are."""
+    return len(available_cores())
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Processes started meanwhile do linear algebra on one thread: there are as many of them as cores."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

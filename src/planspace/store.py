@@ -17,6 +17,11 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
+try:
+    import fcntl
+except ImportError:  # Windows: commands are trusted not to share a folder
+    fcntl = None
+
 from planspace.errors import PlanspaceError
 
 Arrays = dict[str, np.ndarray]
@@ -50,9 +55,9 @@ def write_bytes(path: Path, data: bytes) -> None:
             raise
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Writes a mapping as indented JSON, atomically."""
-    write_bytes(path, (json.dumps(value, indent=2, allow_nan=False) + "\n").encode())
+def write_json(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Writes a mapping as JSON, atomically; without an indent on one line, for many numbers."""
+    write_bytes(path, (json.dumps(value, indent=indent, allow_nan=False) + "\n").encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -82,10 +87,10 @@ def read_bytes(path: Path) -> bytes:
         raise PlanspaceError(f"cannot read {path}: {error.strerror}.") from error
 
 
-def write_sealed(path: Path, value: Mapping[str, Any]) -> None:
+def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
     """Writes a JSON object together with a checksum of its own content."""
     plain = json.loads(json.dumps(value))
-    write_json(path, {**plain, CHECKSUM_KEY: json_hash(plain)})
+    write_json(path, {**plain, CHECKSUM_KEY: json_hash(plain)}, indent=indent)
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
@@ -254,6 +259,28 @@ def open_run(path: Path, config: Mapping[str, Any]) -> Path:
             "Choose another --out, or give the same settings to continue it."
         )
     return path
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps a folder to this process; a crash gives it up, too.
+
+    Raises:
+        PlanspaceError: another process keeps it.
+    """
+    with _explain_write(folder):
+        descriptor = os.open(folder / f"{TEMPORARY_PREFIX}lock", os.O_CREAT | os.O_RDWR)
+    try:
+        if fcntl is not None:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise PlanspaceError(
+                    f"another command is at work in {folder}; wait for it, or choose another --out."
+                ) from error
+        yield
+    finally:
+        os.close(descriptor)
 
 
 # --- hashes -----------------------------------------------------------------------------------------

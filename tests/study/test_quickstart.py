@@ -71,7 +71,7 @@ def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) 
     from planspace.demos.dataset import load_demos
     from planspace.embed.embedding import load_embedding
     from planspace.store import read_arrays
-    from planspace.study.report import write_report
+    from planspace.study.quickstart_report import write_report
 
     out = tmp_path / "run"
     summary = run("cartpole-swingup", "smoke", out, 0)

@@ -2,12 +2,10 @@
 
 import json
 import multiprocessing
-import os
 import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +14,7 @@ import mujoco
 import numpy as np
 
 import planspace
-from planspace.cores import count_cores
+from planspace.cores import count_cores, one_thread_each
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
@@ -184,7 +182,7 @@ def _plan_all(
     workers = min(workers or count_cores(), len(indices))
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
     with (
-        _one_thread_each(),
+        one_thread_each(),
         ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt) as pool,
     ):
         futures = [pool.submit(plan_one, problem, config, seed, i) for i in indices]
@@ -194,22 +192,6 @@ def _plan_all(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile do linear algebra on one thread: there are as many of them as cores."""
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _ignore_interrupt() -> None:

@@ -1,10 +1,11 @@
 """What is trained and how: arms, algorithms, presets. Imports no JAX, so that `--help` answers at once."""
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from planspace.errors import UsageError, unknown
-from planspace.forms import ObsForm
+from planspace.forms import ObsForm, RewardForm
 
 BATCH_STEPS = 4000
 """Steps an iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
@@ -14,6 +15,7 @@ RLPreset = Literal["paper", "modern"]
 CriticName = Literal["linear", "mlp"]
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
+ShapingForm = Literal["none", "z", "raw"]
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,13 @@ class TrainConfig:
     """`none`, `augment`: the observation with z appended, `replace`: z alone."""
     z_to: ZTarget = "both"
     """Who sees z."""
+    reward: RewardForm = "dense"
+    """The form of reward."""
+    shaping: ShapingForm = "none"
+    """What coming nearer to the goal is rewarded by, beside the task's reward: distance in `z`, or between
+    `raw` states; potential-based, so that the best policy stays what it was."""
+    shaping_scale: float = 10.0
+    """What the way from a mean start to the goal is worth in return."""
     num_seeds: int = 5
     """How many seeds."""
     seed: int = 0
@@ -156,20 +165,36 @@ class TrainConfig:
 
         Raises:
             UsageError: there is no such algorithm, preset or form, fewer than one seed or step, a negative
-                seed, less than none between evaluations, or somebody is to see a z that there is not.
+                seed, less than none between evaluations, a shaping worth nothing, or somebody is to see a z
+                that there is not.
         """
-        names = {"algo": Algo, "preset": RLPreset, "obs": ObsForm, "z": ZMode, "z_to": ZTarget}
+        names = {
+            "algo": Algo,
+            "preset": RLPreset,
+            "obs": ObsForm,
+            "z": ZMode,
+            "z_to": ZTarget,
+            "reward": RewardForm,
+            "shaping": ShapingForm,
+        }
         for name, known in names.items():
             if getattr(self, name) not in get_args(known):
                 raise unknown(name, getattr(self, name), get_args(known))
         if self.z == "none" and self.z_to != "both":
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: give --z augment or --z replace.")
+        if not 0 < self.shaping_scale < math.inf:
+            raise UsageError(f"the scale of the shaping is above 0, got {self.shaping_scale}.")
         if self.seed < 0:
             raise UsageError(f"seeds are at least 0, got {self.seed}.")
         if self.eval_every < 0:
             raise UsageError(f"evaluations must not be less than 0 iterations apart, got {self.eval_every}.")
         if self.num_seeds < 1 or self.steps < 1:
             raise UsageError(f"seeds and steps must be at least 1, got {self.num_seeds} and {self.steps}.")
+
+    @property
+    def needs_embedding(self) -> bool:
+        """Whether z is seen or rewarded."""
+        return self.z != "none" or self.shaping == "z"
 
     @property
     def learns(self) -> LearnerConfig:

@@ -2,7 +2,6 @@
 worst to the second best seed, and dashed the run with the highest smoothed return at any point.
 """
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +14,10 @@ from planspace.store import Arrays
 
 SMOOTHING = 10
 """Iterations in the moving average of a learning curve."""
+MAX_BANDS = 6
+"""Of more arms in one figure the means alone are drawn: bands would hide each other."""
+STYLES = ("-", "--", ":")
+"""Lines that share a colour."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +67,16 @@ def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Fi
     """Learning curves of several arms."""
     figure = matplotlib.figure.Figure(figsize=(7, 4.3), layout="constrained")
     axes = figure.subplots()
-    for colour, (label, curve) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
-        steps = curve.steps / 1e6
-        axes.fill_between(steps, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(steps, curve.mean, color=colour, linewidth=2, label=label)
-        axes.plot(steps, curve.best, color=colour, linewidth=1, linestyle="--")
+    for i, (label, curve) in enumerate(curves.items()):
+        steps, colour = curve.steps / 1e6, COLOURS[i % len(COLOURS)]
+        style = "-" if len(curves) <= MAX_BANDS else STYLES[i // len(COLOURS) % len(STYLES)]
+        axes.plot(steps, curve.mean, color=colour, linewidth=2, linestyle=style, label=label)
+        if len(curves) <= MAX_BANDS:
+            axes.fill_between(steps, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
+            axes.plot(steps, curve.best, color=colour, linewidth=1, linestyle="--")
     axes.set_xlabel("environment steps a seed [million]")
     axes.set_ylabel(f"return of an episode, mean of {SMOOTHING} iterations")
     axes.set_title(title, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, fontsize="medium" if len(curves) <= MAX_BANDS else "x-small")
     return figure

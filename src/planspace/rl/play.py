@@ -14,7 +14,7 @@ from planspace.tasks import find_task
 def make_env(policy: Policy) -> gymnasium.Env:
     """The environment a policy was trained in, z included."""
     about = policy.about
-    env = gymnasium.make(about["env_id"], obs=about["obs"])
+    env = gymnasium.make(about["env_id"], obs=about["obs"], reward=about.get("reward", "dense"))
     if about["z"] == "none":
         return env
     mode = "replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment"

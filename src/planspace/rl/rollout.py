@@ -1,6 +1,6 @@
 """One iteration of episodes for all seeds at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -53,6 +53,9 @@ class Rollout:
     obs: Float[np.ndarray, "time *seed env obs"]
     actions: Float[np.ndarray, "time *seed env action"]
     rewards: Float[np.ndarray, "time *seed env"]
+    """The task's own."""
+    shaping: Float[np.ndarray, "time *seed env"]
+    """What coming nearer to the goal was rewarded by, beside them; see `shaping`."""
     step: Int[np.ndarray, "time *seed env"]
     """Steps since the episode's start, before the action."""
     terminated: Bool[np.ndarray, "time *seed env"]
@@ -75,6 +78,7 @@ def collect(
     num_steps: int,
     rngs: list[np.random.Generator],
     *,
+    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
     noise: bool = True,
 ) -> Rollout:
     """Runs every environment for `num_steps`, from fresh episodes; when one ends, the next begins.
@@ -85,11 +89,12 @@ def collect(
         actor: one policy a seed.
         num_steps: steps of each environment.
         rngs: one stream a seed; a seed's starts and noise come from its own stream alone.
+        shape: (states before, states after, terminated) to what is paid beside the task's reward.
         noise: whether actions are drawn, or are the policies' means.
     """
     task, num_seeds = batch.task, len(rngs)
     num_envs = len(batch.states) // num_seeds
-    shape = (num_steps, num_seeds, num_envs)
+    size = (num_steps, num_seeds, num_envs)
     num_actions = actor.log_std.shape[-1]
     starts = [task.sample_starts(num_envs, rng) for rng in rngs]
     drawn = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
@@ -97,24 +102,28 @@ def collect(
     batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
     obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
     record = Rollout(
-        obs=np.empty((*shape, obs.shape[-1]), np.float32),
-        actions=np.empty((*shape, num_actions), np.float32),
-        rewards=np.empty(shape),
-        step=np.empty(shape, int),
-        terminated=np.empty(shape, bool),
-        timeout=np.empty(shape, bool),
-        cut=np.zeros(shape, bool),
-        next_obs=np.empty((*shape, obs.shape[-1]), np.float32),
+        obs=np.empty((*size, obs.shape[-1]), np.float32),
+        actions=np.empty((*size, num_actions), np.float32),
+        rewards=np.empty(size),
+        shaping=np.zeros(size),
+        step=np.empty(size, int),
+        terminated=np.empty(size, bool),
+        timeout=np.empty(size, bool),
+        cut=np.zeros(size, bool),
+        next_obs=np.empty((*size, obs.shape[-1]), np.float32),
     )
-    since_start = np.zeros(shape[1:], int)
+    since_start = np.zeros(size[1:], int)
     for t in range(num_steps):
         actions = actor.mean(obs) + drawn[t]
+        before = batch.states
         rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
+        if shape is not None:
+            record.shaping[t] = shape(before, batch.states, terminated).reshape(size[1:])
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
-        record.rewards[t], record.terminated[t] = rewards.reshape(shape[1:]), terminated.reshape(shape[1:])
+        record.rewards[t], record.terminated[t] = rewards.reshape(size[1:]), terminated.reshape(size[1:])
         since_start = since_start + 1
         record.timeout[t] = ~record.terminated[t] & (since_start >= task.horizon)
-        record.cut[t] = diverged.reshape(shape[1:])
+        record.cut[t] = diverged.reshape(size[1:])
         obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
         record.next_obs[t] = obs
         ended = record.terminated[t] | record.timeout[t] | record.cut[t]

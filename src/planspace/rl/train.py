@@ -29,8 +29,9 @@ from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
+from planspace.rl.shaping import Shaping
 from planspace.store import Arrays, append_row, open_run, read_arrays, write_arrays
-from planspace.tasks import Task, find_task
+from planspace.tasks import Task, find_reward_form, find_task
 from planspace.track import TrackerName, open_trackers
 
 CHECKPOINT_EVERY = 10
@@ -59,6 +60,7 @@ class _Arm:
 
     config: TrainConfig
     observer: Observer
+    shaping: Shaping | None
     batch: TaskBatch
     threads: ThreadPoolExecutor
     """The seeds learn side by side in these."""
@@ -97,14 +99,18 @@ def train(
         UsageError: the parts of the arm do not fit.
     """
     task = find_task(config.task)
+    find_reward_form(config.reward, task)
     given = tuple(embeddings)
-    observer = Observer(task, config.obs, config.z, config.z_to, _dealt(given, config), config.num_seeds)
+    dealt = _dealt(given, config)
+    seen = dealt if config.z != "none" else ()
+    observer = Observer(task, config.obs, config.z, config.z_to, seen, config.num_seeds)
+    shaping = Shaping.of(config, dealt)
     open_run(out, _settings(config, given))
     if (out / HISTORY).exists():
         return read_arrays(out / HISTORY)
-    batch = TaskBatch(task, config.num_seeds * num_episodes(task))
+    batch = TaskBatch(task, config.num_seeds * num_episodes(task), reward=config.reward)
     with ThreadPoolExecutor(min(count_cores(), config.num_seeds)) as threads:
-        arm = _Arm(config, observer, batch, threads)
+        arm = _Arm(config, observer, shaping, batch, threads)
         state, first = _init(arm), 0
         saved = load_checkpoint(out, state)
         if saved is not None:
@@ -127,8 +133,10 @@ def num_episodes(task: Task) -> int:
 
 def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
     """The embeddings as the seeds take them."""
-    if embeddings and config.z == "none":
-        raise UsageError("an embedding was given, but z is 'none': give --z augment or --z replace.")
+    if embeddings and not config.needs_embedding:
+        raise UsageError(
+            "an embedding was given, but z is 'none': give --z augment, --z replace or --shaping z."
+        )
     if len(embeddings) <= 1:
         return embeddings
     if len(embeddings) > config.num_seeds:
@@ -198,7 +206,7 @@ def _iterate(arm: _Arm, state: _State, iteration: int) -> _State:
     config, learner = arm.config, arm.config.learns
     rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in config.seeds]
     actor = _actor(arm, state)
-    rollout = collect(arm.batch, arm.observer, actor, arm.batch.task.horizon, rngs)
+    rollout = collect(arm.batch, arm.observer, actor, arm.batch.task.horizon, rngs, shape=arm.shaping)
     parts = [rollout.of_seed(i) for i in range(config.num_seeds)]
 
     def ask(i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -207,12 +215,13 @@ def _iterate(arm: _Arm, state: _State, iteration: int) -> _State:
     asked = arm.threads.map(ask, range(config.num_seeds))
     value, next_value = (np.stack(x, axis=1) for x in zip(*asked, strict=True))
     ends = (rollout.terminated, rollout.timeout | rollout.cut)
-    rewards = rollout.rewards + learner.entropy_reward * actor.entropy[None, :, None]
+    paid = rollout.rewards + rollout.shaping
+    rewards = paid + learner.entropy_reward * actor.entropy[None, :, None]
     with np.errstate(invalid="ignore", over="ignore"):  # `learn` looks whether all is finite
         advantages = gae(
             rewards, value, next_value, *ends, discount=learner.discount, trace=learner.gae_lambda
         )
-        returns = discounted_returns(rollout.rewards, next_value, *ends, discount=learner.discount)
+        returns = discounted_returns(paid, next_value, *ends, discount=learner.discount)
 
     def teach(i: int) -> tuple[Learner, dict[str, float]]:
         key = jr.fold_in(jr.key(config.seeds[i]), 1 + iteration)
@@ -255,7 +264,7 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
     """Leaves the policies, and what makes z, where `load_policy` finds them."""
     config, observer = arm.config, arm.observer
     folders = [EMBEDDING] if len(embeddings) == 1 else [f"{EMBEDDING}-{i}" for i in range(len(embeddings))]
-    if config.z != "none":
+    if config.needs_embedding:
         for embedding, folder in zip(embeddings, folders, strict=True):
             if not (out / folder / DESCRIPTION).exists():
                 embedding.save(out / folder)
@@ -271,6 +280,7 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
         "task": config.task,
         "env_id": observer.task.env_id,
         "obs": config.obs,
+        "reward": config.reward,
         "z": config.z,
         "z_to": config.z_to,
         "num_obs": observer.num_obs,
@@ -279,7 +289,7 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
         "action_low": arm.batch.simulator.control_low.tolist(),
         "action_high": arm.batch.simulator.control_high.tolist(),
         "seeds": list(config.seeds),
-        "embeddings": [folders[seed % len(folders)] for seed in config.seeds] if config.z != "none" else [],
+        "embeddings": [folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
         **without_nan({"returns": state.history[EVALUATION][-1].tolist()}),
         "versions": {"planspace": planspace.__version__},
     }

@@ -1,10 +1,11 @@
 """The study's figures: matplotlib for paper and README, Plotly for the report one can hover over."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.figure
+import numpy as np
 import plotly.graph_objects as go
 
 from planspace.demos.dataset import Demos
@@ -12,8 +13,11 @@ from planspace.demos.plot import COLOURMAP, time_left_scale
 from planspace.embed.embedding import Embedding
 from planspace.embed.plot import principal
 from planspace.figure import COLOURS
-from planspace.rl.curves import Curve
+from planspace.rl.curves import MAX_BANDS, Curve
 
+Profile = tuple[np.ndarray, np.ndarray]
+"""Returns, and the share of seeds that reached more than each."""
+DASHES = ("solid", "dash", "dot")
 MAX_PATHS = 20
 """More paths than this hide each other in a flat picture; the first ones are drawn."""
 
@@ -21,6 +25,8 @@ MAX_PATHS = 20
 def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
     """The same, to hover over."""
     figure = go.Figure()
+    if len(curves) > MAX_BANDS:
+        return _interactive_means(curves)
     for colour, (label, c) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
         band = {"mode": "lines", "line_width": 0, "hoverinfo": "skip", "legendgroup": label}
         figure.add_scatter(x=c.steps, y=c.high, showlegend=False, **band)
@@ -47,6 +53,77 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
     figure.update_layout(
         xaxis_title="environment steps a seed", yaxis_title="return of an episode", **plain_layout()
     )
+    return figure
+
+
+def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
+    figure = go.Figure()
+    for i, (label, c) in enumerate(curves.items()):
+        line = {
+            "color": COLOURS[i % len(COLOURS)],
+            "width": 3,
+            "dash": DASHES[i // len(COLOURS) % len(DASHES)],
+        }
+        figure.add_scatter(x=c.steps, y=c.mean, name=label, mode="lines", line=line)
+    figure.update_layout(
+        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **plain_layout()
+    )
+    return figure
+
+
+def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.figure.Figure:
+    """Performance profiles of several arms: the share of seeds that reached more than each return."""
+    figure = matplotlib.figure.Figure(figsize=(7, 4.3), layout="constrained")
+    axes = figure.subplots()
+    for colour, (label, (returns, shares)) in zip(itertools.cycle(COLOURS), profiles.items(), strict=False):
+        axes.step(returns, shares, where="post", color=colour, linewidth=2, label=label)
+    axes.set_xlabel("return")
+    axes.set_ylabel("share of seeds that reached more")
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_title(title, loc="left")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
+    """The same, to hover over."""
+    figure = go.Figure()
+    for colour, (label, (returns, shares)) in zip(itertools.cycle(COLOURS), profiles.items(), strict=False):
+        line = {"color": colour, "width": 2, "shape": "hv"}
+        figure.add_scatter(x=returns, y=shares, name=label, mode="lines", line=line)
+    figure.update_layout(
+        xaxis_title="return", yaxis_title="share of seeds that reached more", **plain_layout()
+    )
+    return figure
+
+
+def interactive_training(steps: Sequence[int], curves: Sequence[Sequence[float]], name: str) -> go.Figure:
+    """One curve of an embedding's training [row][seed], a line a seed."""
+    figure = go.Figure()
+    for i, values in enumerate(zip(*curves, strict=True)):
+        line = {"color": COLOURS[i % len(COLOURS)], "width": 2}
+        figure.add_scatter(x=list(steps), y=list(values), name=f"seed {i}", mode="lines", line=line)
+    figure.update_layout(xaxis_title="optimiser steps", yaxis_title=name, **plain_layout())
+    return figure
+
+
+def interactive_lines(paths: Sequence[Sequence[Sequence[float]]]) -> go.Figure:
+    """Demonstrations in z, to turn: [path][state][principal component]."""
+    figure = go.Figure()
+    for path in paths:
+        columns = np.array(path).T
+        x, y, z = (*columns, *np.zeros((3 - len(columns), columns.shape[1])))
+        left = np.linspace(1.0, 0.0, len(x))
+        line = {"color": left, "colorscale": COLOURMAP, "width": 5}
+        figure.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, showlegend=False, hoverinfo="skip")
+        end = {"color": "crimson", "size": 4}
+        figure.add_scatter3d(
+            x=x[-1:], y=y[-1:], z=z[-1:], mode="markers", marker=end, showlegend=False, hoverinfo="skip"
+        )
+    axis = {"showbackground": False, "gridcolor": "#888", "zerolinecolor": "#888"}
+    axes = {f"{name}axis": {**axis, "title": f"component {i + 1}"} for i, name in enumerate("xyz")}
+    figure.update_layout(scene={**axes, "aspectmode": "data"}, **plain_layout())
     return figure
 
 

@@ -20,7 +20,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.train import train
 from planspace.store import CONFIG, Arrays, open_run, read_json, write_json
-from planspace.study.report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
+from planspace.study.quickstart_report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task
 
 BudgetName = Literal["smoke", "small", "full"]

@@ -1,71 +1,145 @@
-"""The report: one HTML file that needs nothing beside it, and the figures as files."""
+"""A study's report: one HTML file that needs nothing beside it, and its figures and tables as files."""
 
-import base64
+import json
+import re
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-import plotly.graph_objects as go
-import plotly.io
-import plotly.offline
 
-from planspace.demos.dataset import Demos
-from planspace.demos.plot import plot_demos
-from planspace.embed.embedding import Embedding
-from planspace.embed.plot import PLOTLY_CONFIG, interactive_paths
+import planspace
+from planspace.embed.curves import plot_training
+from planspace.errors import PlanspaceError
 from planspace.figure import save_figure
-from planspace.rl.curves import SMOOTHING, learning_curve, plot_curves
-from planspace.store import Arrays, make_folder, write_bytes
-from planspace.study.figures import interactive_curves, plain_layout, plot_paths
-
-TEMPLATES = Path(__file__).parent / "templates"
-
-FINAL_ITERATIONS = 10
-"""The closing table averages each seed's return over this many last iterations."""
-GEOMETRY_ROWS = (
-    ("straightness", "straightness", "1 is a straight line"),
-    ("speed_variation", "speed variation", "0 is constant speed"),
-    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
-    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
-    ("effective_rank", "effective rank", "dimensions in use"),
-    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
+from planspace.rl.curves import MAX_BANDS, SMOOTHING, Curve, learning_curve, plot_curves
+from planspace.store import CONFIG, make_folder, read_json, write_bytes
+from planspace.study import stats
+from planspace.study.design import Arm
+from planspace.study.execute import KEPT_EVERY
+from planspace.study.figures import (
+    Profile,
+    interactive_curves,
+    interactive_lines,
+    interactive_profiles,
+    interactive_training,
+    plot_profiles,
 )
+from planspace.study.page import embedded, write_page
+from planspace.study.summary import Findings, named_fits, summarise
+
+MAX_SPACES = 6
+"""More embeddings than this are in the table alone; the first ones are shown to be turned."""
+THRESHOLDS = 200
 
 
-def write_report(
-    out: Path, summary: dict[str, Any], demos: Demos, embedding: Embedding, histories: dict[str, Arrays]
-) -> Path:
-    """Writes `report.html` and `figures/` into a run's folder.
+def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
+    """Writes `DIR/STUDY-BUDGET/`: report.html, tables.json and figures, from what is done so far.
+
+    Args:
+        findings: what is known of the study.
+        out: the folder of the studies.
 
     Returns:
-        The report's path.
+        The tables, and the report's path.
+
+    Raises:
+        PlanspaceError: nothing is done yet.
     """
-    curves = {label: learning_curve(history) for label, history in histories.items()}
-    folder = make_folder(out / "figures")
-    demo_picture = save_figure(plot_demos(demos), folder, "demos")
-    save_figure(plot_paths(demos, embedding), folder, "paths")
-    save_figure(plot_curves(curves, summary["task"]), folder, "curves")
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    html = environment.get_template("report.html").render(
+    study = findings.study
+    if not findings.scores:
+        raise PlanspaceError(f"no arm of study {study.name} has been run in {out} yet.")
+    summary = summarise(findings)
+    folder = make_folder(out / f"{study.name}-{study.budget}")
+    figures = make_folder(folder / "figures")
+    write_bytes(folder / "tables.json", (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    panels = []
+    for panel, arms in findings.panels().items():
+        curves = {arm.label: _curve(findings, arm) for arm in arms}
+        profiles = _profiles(findings, arms)
+        save_figure(plot_curves(curves, panel), figures, slug(panel))
+        save_figure(plot_profiles(profiles, panel), figures, f"{slug(panel)}-profile")
+        panels.append(
+            {
+                "name": panel,
+                "rows": summary["panels"][panel],
+                "curves": embedded(interactive_curves(curves)),
+                "profiles": embedded(interactive_profiles(profiles)),
+                "films": [_film(findings, arm) for arm in arms],
+            }
+        )
+    path = write_page(
+        folder / "report.html",
+        "study.html",
         summary=summary,
-        geometry_rows=GEOMETRY_ROWS,
-        final_iterations=FINAL_ITERATIONS,
+        study=study,
+        command=f"planspace study {study.name} --budget {study.budget}",
+        versions=read_json(out / CONFIG)["versions"],
+        panels=panels,
+        trainings=_trainings(findings, figures),
+        spaces=_spaces(findings),
         smoothing=SMOOTHING,
-        units=dict(zip(demos.info.names, demos.info.units, strict=True)),
-        demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
-        paths=_html(
-            interactive_paths(embedding, demos, np.arange(len(demos))).update_layout(**plain_layout())
-        ),
-        curves=_html(interactive_curves(curves)),
-        plotly=plotly.offline.get_plotlyjs(),
+        max_bands=MAX_BANDS,
+        final_steps=stats.FINAL_STEPS,
+        visible=stats.VISIBLE_RATIO,
+        version=planspace.__version__,
     )
-    path = out / "report.html"
-    write_bytes(path, html.encode())
-    return path
+    return summary, path
 
 
-def _html(figure: go.Figure) -> str:
-    return plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, config=PLOTLY_CONFIG)
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+
+
+def _curve(findings: Findings, arm: Arm) -> Curve:
+    scores = findings.scores[arm.name]
+    rows_are = KEPT_EVERY if len(scores.steps) * KEPT_EVERY == arm.units[0].config.iterations else 1
+    history = {"steps": scores.steps, "return": scores.returns}
+    return learning_curve(history, max(1, SMOOTHING // rows_are))
+
+
+def _profiles(findings: Findings, arms: list[Arm]) -> dict[str, Profile]:
+    reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
+    everything = np.concatenate(list(reached.values()))
+    margin = 0.05 * max(float(np.ptp(everything)), 1e-9)
+    thresholds = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
+    return {label: (thresholds, stats.profile(x, thresholds)) for label, x in reached.items()}
+
+
+def _film(findings: Findings, arm: Arm) -> dict[str, Any]:
+    """The best seed's episode of the block that ended best."""
+    found = [findings.found(unit) for unit in arm.units if unit.name in findings.results]
+    best = max(found, key=lambda result: max(x or -np.inf for x in result["eval_returns"][-1]))
+    return {"label": arm.label, **best["film"]}
+
+
+def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
+    """The curves of embeddings that were chosen among several seeds, as the paper shows them."""
+    shown = []
+    for name, unit in named_fits(findings).items():
+        found = findings.found(unit)
+        if unit.num_seeds < 2 or "bound" not in found:
+            continue
+        columns = zip(found["log_steps"], found["path_error"], found["bound"], strict=True)
+        rows = [{"step": step, "path_error": error, "bound": bound} for step, error, bound in columns]
+        save_figure(plot_training(rows, found["seed"] - unit.seed), figures, f"training-{slug(name)}")
+        shown.append(
+            {
+                "name": f"{name}, z = {unit.config.z_dim}",
+                "kept": f"seed {found['seed'] - unit.seed}",
+                "path_error": embedded(
+                    interactive_training(found["log_steps"], found["path_error"], "path error")
+                ),
+                "bound": embedded(interactive_training(found["log_steps"], found["bound"], "bound [nats]")),
+            }
+        )
+    return shown
+
+
+def _spaces(findings: Findings) -> list[dict[str, str]]:
+    """Demonstrations as embeddings see them."""
+    fits = list(named_fits(findings).items())[:MAX_SPACES]
+    return [
+        {"name": name, "paths": embedded(interactive_lines(findings.found(unit)["paths"]))}
+        for name, unit in fits
+    ]

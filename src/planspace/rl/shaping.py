@@ -1,0 +1,107 @@
+"""Potential-based shaping: coming nearer to the goal is rewarded, and the best policy stays what it was.
+
+With Phi(x) = -scale d(x, goal) / d_0, the reward of a step grows by gamma Phi(x') - Phi(x) (Ng, Harada and
+Russell 1999); d_0 is the mean distance of the task's starts, so that distances of different kinds are worth
+the same. For one environment that is `PlanSpaceShaping` ; here it is for all seeds at once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from planspace.embed.embedding import Embedding, norm
+from planspace.errors import UsageError
+from planspace.plan.problem_file import load_problem
+from planspace.rl.config import TrainConfig
+from planspace.tasks import Task, find_task
+
+NUM_STARTS = 1000
+"""d_0 is a mean over so many starts."""
+
+
+@dataclass(frozen=True)
+class Shaping:
+    """What an arm pays beside its task's reward."""
+
+    task: Task
+    distances: tuple[Callable[[np.ndarray], np.ndarray], ...]
+    """States to their distance from the goal: one for all seeds, or one for each."""
+    num_seeds: int
+    """Whose environments follow one another; what a seed is paid does not depend on the others."""
+    scale: float
+    discount: float
+
+    @classmethod
+    def of(cls, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
+        """The shaping of an arm, if it has any.
+
+        Args:
+            config: the arm.
+            embeddings: what makes z: one for all seeds, or one for each.
+
+        Raises:
+            UsageError: the task has no goal that stands, or there is no embedding where z is asked for.
+        """
+        if config.shaping == "none":
+            return None
+        task = find_task(config.task)
+        goal = _goal(task)
+        _, space = task.compile()
+        if config.shaping == "raw":
+
+            def apart(states: np.ndarray) -> np.ndarray:
+                return norm(space.difference(states, goal))
+
+            distances = (apart,)
+        elif embeddings:
+            distances = tuple(_distance_in_z(embedding, space.names, goal) for embedding in embeddings)
+        else:
+            raise UsageError("shaping by 'z' needs an embedding: give --embedding DIR.")
+        return cls(task, distances, config.num_seeds, config.shaping_scale, config.learns.discount)
+
+    def __call__(
+        self,
+        before: Float[np.ndarray, "env state"],
+        after: Float[np.ndarray, "env state"],
+        terminated: Bool[np.ndarray, " env"],
+    ) -> Float[np.ndarray, " env"]:
+        """What a step of every environment is paid, the environments of a seed one after another.
+
+        An episode that terminates ends at potential 0; one that is cut off keeps that of its last state.
+        """
+        return np.where(terminated, 0.0, self.discount * self._potential(after)) - self._potential(before)
+
+    def _potential(self, states: Float[np.ndarray, "env state"]) -> Float[np.ndarray, " env"]:
+        by_seed = states.reshape(self.num_seeds, -1, states.shape[-1])
+        groups = [by_seed] if len(self.distances) == 1 else list(by_seed[:, None])
+        ways = zip(self.distances, groups, self._typical, strict=True)
+        return np.concatenate([(-self.scale / far * distance(x)).ravel() for distance, x, far in ways])
+
+    @cached_property
+    def _typical(self) -> list[float]:
+        """d_0 of each distance."""
+        starts, _ = self.task.sample_starts(NUM_STARTS, np.random.default_rng(0))
+        return [float(distance(starts).mean()) for distance in self.distances]
+
+
+def _goal(task: Task) -> Float[np.ndarray, " state"]:
+    """The state a task is to come to: that of the planning problem that suits it."""
+    if task.has_target:
+        raise UsageError(f"shaping needs one goal; {task.name} has another target in every episode.")
+    goal = load_problem(task.problem).goal
+    return (np.array(goal.low) + np.array(goal.high)) / 2
+
+
+def _distance_in_z(
+    embedding: Embedding, names: tuple[str, ...], goal: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    columns = list(embedding.columns_of(names))
+    z_goal = embedding.encode(goal[columns])
+
+    def apart(states: np.ndarray) -> np.ndarray:
+        return norm(embedding.encode(states[..., columns]) - z_goal)
+
+    return apart

@@ -1,0 +1,186 @@
+"""What a study is: arms, the units they are made of, and claims with the numbers that decide them."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from planspace.embed.config import FitConfig
+from planspace.errors import UsageError
+from planspace.rl.config import TrainConfig
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+
+BudgetName = Literal["smoke", "half", "full", "paper"]
+Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
+Expectation = Literal["more", "less", "same"]
+
+BLOCK = 5
+"""Seeds of a unit; the units of an arm merge, so 15 seeds become 50 without running the first 15 again."""
+
+PROBLEMS = {
+    "cartpole": "cartpole-swingup",
+    "cartpole-swingup": "cartpole-swingup",
+    "reacher-trig": "reacher",
+    "reacher-raw": "reacher",
+}
+"""Each task's system: the planning problem whose demonstrations train its embedding."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much of everything."""
+
+    steps: int
+    """Environment steps a seed."""
+    seeds: int = 15
+    """Seeds an arm."""
+    plans: int = 500
+    """Demonstrations, as many as in 2020."""
+    embeddings: int = 5
+    """Embedding seeds."""
+    restarts: int | None = None
+    """Searches for each plan; None is the planner's own."""
+    fit_steps: int | None = None
+    """Optimiser steps of an embedding; None is the preset's own."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A line of a figure."""
+
+    panel: str
+    """The figure it is in."""
+    label: str
+    """Its name there."""
+    units: tuple[PolicyUnit, ...]
+    """Blocks of its seeds."""
+
+    @property
+    def name(self) -> str:
+        """Panel and label."""
+        return f"{self.panel}/{self.label}"
+
+    @property
+    def num_embeddings(self) -> int:
+        """How many embeddings its seeds take in turn; 0 where there is no z."""
+        return len(self.units[0].fits)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What is claimed, and the number that decides it.
+
+    The number is a measure of an arm less that of another (or, without another, less `margin`), over the
+    seeds; of a spread, the logarithm of other over arm. Its 95 % interval decides: `more` and `less` hold if
+    it lies beyond 0 on their side and fail if it lies on the other side; `same` holds if it lies within
+    +- `margin` and fails if it lies outside.
+    """
+
+    text: str
+    source: str
+    """Where it comes from."""
+    measure: Measure
+    """`final`: mean return over the last 50 iterations; `early` and `whole`: over the first quarter of the
+    training, and all of it; `best`: of the two best seeds at the end; `spread`: deviation over seeds of
+    `final`, `early_spread` of `early`."""
+    arm: str
+    other: str
+    expects: Expectation = "more"
+    margin: float = 0.0
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is run and what it is to decide."""
+
+    name: str
+    budget: str
+    question: str
+    arms: tuple[Arm, ...]
+    claims: tuple[Claim, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What a reader of its figures must know."""
+
+    @property
+    def fits(self) -> tuple[FitUnit, ...]:
+        """The embeddings, each once."""
+        return tuple(unit for unit in self.units if isinstance(unit, FitUnit))
+
+    @property
+    def units(self) -> tuple[Unit, ...]:
+        """Every unit once, what is needed before what needs it."""
+        return tuple({unit.name: unit for arm in self.arms for unit in _closure(arm.units)}.values())
+
+    def only(self, parts: Iterable[str]) -> "Study":
+        """The arms whose names contain one of these texts.
+
+        Raises:
+            UsageError: no arm does.
+        """
+        parts = tuple(parts)
+        kept = tuple(arm for arm in self.arms if not parts or any(part in arm.name for part in parts))
+        if not kept:
+            names = "; ".join(arm.name for arm in self.arms)
+            raise UsageError(f"study {self.name} has no arm like {' or '.join(parts)}. Its arms: {names}.")
+        names = {arm.name for arm in kept}
+        claims = tuple(c for c in self.claims if c.arm in names and (not c.other or c.other in names))
+        return replace(self, arms=kept, claims=claims)
+
+
+@dataclass(frozen=True)
+class Builder:
+    """Makes the units of a budget."""
+
+    budget: Budget
+    seeds: int
+    seed: int
+
+    def arm(
+        self,
+        panel: str,
+        label: str,
+        config: TrainConfig,
+        fits: Iterable[FitUnit] = (),
+        seeds: int = 0,
+    ) -> Arm:
+        """An arm, in blocks of seeds.
+
+        Args:
+            panel: the figure it is in.
+            label: its name there.
+            config: the arm itself; steps and seeds are the budget's.
+            fits: what makes z, taken in turn.
+            seeds: how many seeds, where not the budget's number.
+        """
+        fits = tuple(fits)
+        num = self.seeds or seeds or self.budget.seeds
+        starts = range(self.seed, self.seed + num, BLOCK)
+        blocks = ((start, min(BLOCK, self.seed + num - start)) for start in starts)
+        configs = (replace(config, steps=self.budget.steps, seed=s, num_seeds=n) for s, n in blocks)
+        return Arm(panel, label, tuple(PolicyUnit(c, fits) for c in configs))
+
+    def plans(self, problem: str, num: int = 0, **settings: int | float) -> PlansUnit:
+        """Demonstrations, as many as the budget has or `num`, if that is fewer."""
+        if self.budget.restarts is not None:
+            settings["restarts"] = self.budget.restarts
+        num = min(num or self.budget.plans, self.budget.plans)
+        return PlansUnit(problem, num, tuple(sorted(settings.items())))
+
+    def fit(self, plans: PlansUnit, config: FitConfig, **seeds: int) -> FitUnit:
+        """An embedding; `seeds` are `num_seeds` and `seed`."""
+        return FitUnit(plans, config.changed(steps=self.budget.fit_steps), **seeds)
+
+    def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0) -> tuple[FitUnit, ...]:
+        """One a seed, to be taken in turn."""
+        num = min(num or self.budget.embeddings, self.budget.embeddings)
+        return tuple(self.fit(plans, config, seed=seed) for seed in range(num))
+
+
+def _closure(units: Iterable[Unit]) -> Iterator[Unit]:
+    for unit in units:
+        yield from _closure(unit.needs)  # pyright: ignore[reportArgumentType]
+        yield unit
+
+
+def panel_of(task: str, algo: str) -> str:
+    """The figure an arm is in."""
+    return f"{task}, {algo.upper()}"

@@ -1,0 +1,185 @@
+"""One unit run to its end: its folder, and the small result that a report is made of.
+
+    DIR/work/NAME/          the unit's folder, as `planspace plan`, `embed`, `train` leave it; may be deleted
+    DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and seconds
+
+A unit whose result is there is done, on whatever machine. Its folder is made again only if another unit that
+is not done reads it.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planspace.demos.dataset import MANIFEST, Demos, load_demos
+from planspace.embed.curves import read_log
+from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
+from planspace.embed.fit import fit
+from planspace.embed.plot import principal
+from planspace.errors import PartialResult
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem_file import load_problem
+from planspace.rl.play import play
+from planspace.rl.saved_policy import load_policy
+from planspace.rl.train import train
+from planspace.store import make_folder, read_described, write_sealed
+from planspace.study.stick import stick_film
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.wound import wound_plans
+
+SCHEMA = 1
+KEPT_EVERY, SHORT = 5, 50
+"""Returns are kept as means of so many iterations, rounded to 2 decimals; of fewer iterations than the second
+number every one is."""
+PATHS, POINTS = 12, 40
+"""Demonstrations that are kept as an embedding sees them, and states of each."""
+FILM_SEED = 1000
+"""The start of the episode that is kept of a policy; the same for all."""
+
+
+def folder_of(unit: Unit, out: Path) -> Path:
+    """Where a unit works."""
+    return out / "work" / unit.name
+
+
+def result_file(unit: Unit, out: Path) -> Path:
+    """Where its result is."""
+    return out / "units" / f"{unit.name}.json"
+
+
+def is_done(unit: Unit, out: Path) -> bool:
+    """Whether its result is there."""
+    return result_file(unit, out).exists()
+
+
+def has_folder(unit: Unit, out: Path) -> bool:
+    """Whether what others read of it is there: of policies nothing."""
+    folder = folder_of(unit, out)
+    if isinstance(unit, PlansUnit):
+        return is_done(unit, out) and (folder / MANIFEST).exists()
+    return isinstance(unit, PolicyUnit) or (folder / DESCRIPTION).exists()
+
+
+def read_result(unit: Unit, out: Path) -> dict[str, Any]:
+    """A finished unit's result.
+
+    Raises:
+        PlanspaceError: it is damaged, or was written by a newer planspace.
+    """
+    return read_described(result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA, name="unit")
+
+
+def execute(unit: Unit, out: Path) -> None:
+    """Runs a unit, or goes on with it, and writes its result.
+
+    Args:
+        unit: what to run; what it needs has its folder.
+        out: the folder of the studies.
+
+    Raises:
+        PlanspaceError: it failed; what was done is saved.
+    """
+    began = time.monotonic()
+    folder = folder_of(unit, out)
+    resumed = folder.exists()
+    make_folder(folder.parent)
+    found = _RUN[unit.kind](unit, folder, out)
+    seconds = {"seconds": round(time.monotonic() - began, 1), "resumed": resumed}
+    make_folder(result_file(unit, out).parent)
+    head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
+    write_sealed(result_file(unit, out), {**head, "found": found, **seconds}, indent=None)
+
+
+def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
+    problem = load_problem(unit.problem)
+    if unit.source == "2020":
+        wound_plans(problem, folder, unit.num, unit.seed)
+    else:
+        config = PlannerConfig.for_problem(problem, **dict(unit.settings))
+        with suppress(PartialResult):  # those that were found are demonstrations all the same
+            generate(problem, folder, num=unit.num, seed=unit.seed, config=config, workers=0)
+    demos = load_demos(folder)
+    ends = demos.states[demos.offsets[1:] - 1]
+    _, space = demos.info.compile()
+    return {
+        "hash": demos.hash,
+        "count": len(demos),
+        "median_duration_s": float(np.median(demos.times[demos.offsets[1:] - 1])),
+        "reached": float(np.mean(space.distance(ends, demos.goals) <= problem.tolerance)),
+    }
+
+
+def _run_fit(unit: FitUnit, folder: Path, out: Path) -> dict[str, Any]:
+    demos = load_demos(folder_of(unit.plans, out))
+    embedding = fit(demos, folder, config=unit.config, num_seeds=unit.num_seeds, seed=unit.seed, split_seed=0)
+    about = embedding.about
+    found = {
+        "hash": embedding.hash,
+        "seed": about["seed"],
+        "metrics": _rounded(about["metrics"]["test"]),
+        "raw_state": _rounded(about["metrics_raw_state"]),
+        "paths": _paths(embedding, demos),
+    }
+    if unit.config.objective.name == "pca":
+        return found  # it has a closed form
+    rows = [row for row in read_log(folder) if "path_error" in row]
+    rows = [rows[i] for i in sorted({round(x) for x in np.linspace(0, len(rows) - 1, 100)})]
+    curves = {name: [_round_all(row[name], 4) for row in rows] for name in ("path_error", "bound")}
+    return {**found, "log_steps": [row["step"] for row in rows], **curves}
+
+
+def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> dict[str, Any]:
+    history = train(unit.config, folder, [load_embedding(folder_of(fit, out)) for fit in unit.fits])
+    returns, steps = history["return"], history["steps"]
+    every = KEPT_EVERY if len(returns) >= SHORT else 1
+    stops = [*range(every, len(returns), every), len(returns)]
+    blocks = [returns[a:b].mean(axis=0) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
+    best = load_policy(folder)
+    _, played = play(best, 1, FILM_SEED)
+    return {
+        "seeds": list(unit.config.seeds),
+        "steps": [int(steps[stop - 1]) for stop in stops],
+        "returns": _round_all(blocks, 2),
+        "eval_steps": history["eval_steps"].tolist(),
+        "eval_returns": _round_all(history["eval_return"], 2),
+        "frozen": history["frozen"][-1].astype(bool).tolist(),
+        "film": {"seed": best.seed, **stick_film(played)},
+    }
+
+
+def _paths(embedding: Embedding, demos: Demos) -> list[list[list[float]]]:
+    """Test demonstrations in z, on three principal components."""
+    used = demos.select(embedding.inputs.names)
+    test = embedding.about["split"]["test"][:PATHS]
+    rows = [used.offsets[i] + _some(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
+    z = [embedding.encode(used.states[part]) for part in rows]
+    flat, _ = principal(np.concatenate(z), min(3, embedding.z_dim))
+    parts = np.split(flat, np.cumsum([len(part) for part in z])[:-1])
+    return [_round_all(part, 3) for part in parts]
+
+
+def _some(num: int) -> np.ndarray:
+    return np.unique(np.linspace(0, num - 1, POINTS).round().astype(int))
+
+
+def _rounded(metrics: dict[str, Any]) -> dict[str, Any]:
+    return {k: _round_all(v, 4) if isinstance(v, float) else v for k, v in metrics.items()}
+
+
+def _round_all(numbers: Any, decimals: int) -> Any:
+    """Numbers as JSON holds them: rounded, None for what is not finite."""
+    if isinstance(numbers, list | tuple | np.ndarray):
+        return [_round_all(x, decimals) for x in numbers]
+    return round(float(numbers), decimals) if np.isfinite(numbers) else None
+
+
+_RUN: dict[str, Callable[[Any, Path, Path], dict[str, Any]]] = {
+    PlansUnit.kind: _run_plans,
+    FitUnit.kind: _run_fit,
+    PolicyUnit.kind: _run_policies,
+}

@@ -1,0 +1,48 @@
+"""The studies as data: which units, which arms, and the claims they decide, fixed before anything is run."""
+
+from collections.abc import Callable
+from typing import Literal
+
+from planspace.errors import UsageError, unknown
+from planspace.study.beyond import controls, demos, recipe, shaping
+from planspace.study.design import BLOCK, Budget, Builder, Study
+from planspace.study.paper import paper
+
+BudgetName = Literal["smoke", "half", "full", "paper"]
+
+BUDGETS: dict[str, Budget] = {
+    "smoke": Budget(steps=12_000, seeds=2, plans=12, embeddings=2, restarts=1, fit_steps=300),
+    "half": Budget(steps=1_000_000),
+    "full": Budget(steps=2_000_000),
+    "paper": Budget(steps=8_000_000),
+}
+
+
+STUDIES: dict[str, Callable[[str, Builder], Study]] = {
+    "paper": paper,
+    "controls": controls,
+    "demos": demos,
+    "shaping": shaping,
+    "recipe": recipe,
+}
+
+
+def make_study(name: str, budget: str, *, seeds: int = 0, seed: int = 0) -> Study:
+    """A study of a name.
+
+    Args:
+        name: a key of `STUDIES`.
+        budget: a key of `BUDGETS`.
+        seeds: how many seeds an arm; 0 takes the study's own number.
+        seed: the first of them; a multiple of the block's size, so that blocks are the same units.
+
+    Raises:
+        UsageError: there is no such study or budget, or the seeds make no whole blocks.
+    """
+    if name not in STUDIES:
+        raise unknown("study", name, STUDIES)
+    if budget not in BUDGETS:
+        raise unknown("budget", budget, BUDGETS)
+    if seeds % BLOCK or seed % BLOCK or min(seeds, seed) < 0:
+        raise UsageError(f"seeds come in blocks of {BLOCK}: --seeds and --seed are multiples of it.")
+    return STUDIES[name](budget, Builder(BUDGETS[budget], seeds, seed))

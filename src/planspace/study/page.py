@@ -1,0 +1,35 @@
+"""Pages that need nothing beside them: one HTML file, its scripts inside, which loads nothing."""
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import plotly.graph_objects as go
+import plotly.io
+import plotly.offline
+
+from planspace.embed.plot import PLOTLY_CONFIG
+from planspace.store import write_bytes
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def write_page(path: Path, template: str, **content: Any) -> Path:
+    """Fills a template; what is text stays text, whatever is in it.
+
+    Args:
+        path: the HTML file.
+        template: its name among the templates.
+        content: what it asks for; figures as `embedded` gives them.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    html = environment.get_template(template).render(plotly=plotly.offline.get_plotlyjs(), **content)
+    write_bytes(path, html.encode())
+    return path
+
+
+def embedded(figure: go.Figure) -> str:
+    """A figure as a part of a page."""
+    return plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, config=PLOTLY_CONFIG)

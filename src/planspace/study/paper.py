@@ -1,0 +1,107 @@
+"""The paper's study, and its claims, each with the number that decides it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from planspace.embed.config import PRESETS
+from planspace.rl.config import Algo, TrainConfig
+from planspace.study.design import PROBLEMS, Arm, Builder, Claim, Measure, Study, panel_of
+
+RAW, LOW_Z, HIGH_Z = "raw", "low-Z augment", "high-Z augment"
+ONLY_LOW_Z, ONLY_HIGH_Z = "low-Z only", "high-Z only"
+LOW_DIM, HIGH_DIM = 3, 10
+ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
+NEAR = {"cartpole": 5.0, "cartpole-swingup": 50.0, "reacher-trig": 1.0, "reacher-raw": 1.0}
+"""Returns that differ by less are called even: about a tenth of what a task's levels lie apart."""
+
+
+def paper(budget: str, grid: Builder) -> Study:
+    """Two systems, two sizes of z; four tasks, five arms, two algorithms."""
+    return Study(
+        "paper",
+        budget,
+        "What did the paper find, and does it hold?",
+        tuple(arm for algo in ALGOS for task in PROBLEMS for arm in _arms(task, algo, grid)),
+        (*_swing_up_claims(), *_cartpole_claims(), *_reacher_claims(), *_algorithm_claims()),
+        (
+            "Observing z alone, the two reachers are one task, the target unseen: run once, shown twice.",
+            "Demonstrations are ours and reach their goals; embeddings and both algorithms are of the preset "
+            "paper.",
+        ),
+    )
+
+
+def _arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
+    panel, plans = panel_of(task, algo), grid.plans(PROBLEMS[task])
+    low, high = (
+        grid.fit(plans, PRESETS["paper"].changed(z_dim=z_dim), num_seeds=grid.budget.embeddings)
+        for z_dim in (LOW_DIM, HIGH_DIM)
+    )
+    base = TrainConfig(task, algo)
+    # where nothing but z is observed, the two reachers do not differ
+    only = replace(base, z="replace", task="reacher-raw" if task == "reacher-trig" else task)
+    yield grid.arm(panel, RAW, base)
+    yield grid.arm(panel, LOW_Z, replace(base, z="augment"), [low])
+    yield grid.arm(panel, HIGH_Z, replace(base, z="augment"), [high])
+    yield grid.arm(panel, ONLY_LOW_Z, only, [low])
+    yield grid.arm(panel, ONLY_HIGH_Z, only, [high])
+
+
+def _swing_up_claims() -> Iterator[Claim]:
+    trpo, ppo = (_Judge("cartpole-swingup", algo) for algo in ALGOS)
+    for z in (LOW_Z, HIGH_Z):
+        yield trpo.more(f"TRPO swings up better on average with {z}", "final", z)
+        yield trpo.more(f"TRPO rises faster with {z}", "whole", z)
+        yield trpo.same(f"The best cases with {z} are like raw's", "best", z)
+        yield trpo.more(f"Seeds vary less towards the end with {z}", "spread", z)
+        yield ppo.more(f"PPO: the two best seeds are better with {z}", "best", z)
+        yield ppo.more(f"PPO: slightly better on average with {z}", "final", z)
+    for z in (ONLY_LOW_Z, ONLY_HIGH_Z):
+        yield trpo.less(f"Swing-up: {z} does not do well", "final", z)
+
+
+def _cartpole_claims() -> Iterator[Claim]:
+    judge = _Judge("cartpole", "trpo")
+    name = f"{judge.panel}/{RAW}"
+    yield Claim("CartPole: raw is near perfect almost at once", SOURCE, "early", name, "", margin=80.0)
+    for z in (LOW_Z, HIGH_Z):
+        yield judge.same(f"CartPole: {z} is even with raw", "final", z)
+    for z in (ONLY_LOW_Z, ONLY_HIGH_Z):
+        yield judge.less(f"CartPole: {z} is not as good as raw", "final", z)
+
+
+def _reacher_claims() -> Iterator[Claim]:
+    trig, raw = _Judge("reacher-trig", "trpo"), _Judge("reacher-raw", "trpo")
+    yield trig.same("ReacherTrig: low-Z is even with raw", "final", LOW_Z)
+    yield trig.less("ReacherTrig: high-Z is behind early", "early", HIGH_Z)
+    yield trig.same("ReacherTrig: high-Z catches up", "final", HIGH_Z)
+    yield raw.more("ReacherRaw: seeds vary less early with low-Z", "early_spread", LOW_Z)
+    yield raw.less("ReacherRaw: high-Z slightly under-performs", "final", HIGH_Z)
+    for task in ("reacher-trig", "reacher-raw"):
+        for z in (LOW_Z, HIGH_Z):
+            yield _Judge(task, "ppo").less(f"{task}, PPO: {z} slightly under-performs", "final", z)
+
+
+def _algorithm_claims() -> Iterator[Claim]:
+    for task in ("cartpole-swingup", "reacher-trig", "reacher-raw"):
+        ppo, trpo = (f"{panel_of(task, algo)}/{RAW}" for algo in ("ppo", "trpo"))
+        yield Claim(f"{task}: PPO under-performs TRPO", SOURCE, "final", ppo, trpo, "less")
+
+
+SOURCE = "RL performance"
+
+
+class _Judge:
+    """Claims about arms of one task and algorithm against observing it raw."""
+
+    def __init__(self, task: str, algo: str):
+        self.panel, self.near = panel_of(task, algo), NEAR[task]
+
+    def more(self, text: str, measure: Measure, arm: str) -> Claim:
+        return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}")
+
+    def less(self, text: str, measure: Measure, arm: str) -> Claim:
+        return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}", "less")
+
+    def same(self, text: str, measure: Measure, arm: str) -> Claim:
+        return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}", "same", self.near)

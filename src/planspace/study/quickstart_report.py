@@ -1,0 +1,57 @@
+"""The report of `planspace run`: one HTML file that needs nothing beside it, and the figures as files."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planspace.demos.dataset import Demos
+from planspace.demos.plot import plot_demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.plot import interactive_paths
+from planspace.figure import save_figure
+from planspace.rl.curves import SMOOTHING, learning_curve, plot_curves
+from planspace.store import Arrays, make_folder
+from planspace.study.figures import interactive_curves, plain_layout, plot_paths
+from planspace.study.page import embedded, write_page
+
+FINAL_ITERATIONS = 10
+"""The closing table averages each seed's return over this many last iterations."""
+GEOMETRY_ROWS = (
+    ("straightness", "straightness", "1 is a straight line"),
+    ("speed_variation", "speed variation", "0 is constant speed"),
+    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
+    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
+    ("effective_rank", "effective rank", "dimensions in use"),
+    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
+)
+
+
+def write_report(
+    out: Path, summary: dict[str, Any], demos: Demos, embedding: Embedding, histories: dict[str, Arrays]
+) -> Path:
+    """Writes `report.html` and `figures/` into a run's folder.
+
+    Returns:
+        The report's path.
+    """
+    curves = {label: learning_curve(history) for label, history in histories.items()}
+    folder = make_folder(out / "figures")
+    demo_picture = save_figure(plot_demos(demos), folder, "demos")
+    save_figure(plot_paths(demos, embedding), folder, "paths")
+    save_figure(plot_curves(curves, summary["task"]), folder, "curves")
+    return write_page(
+        out / "report.html",
+        "quickstart.html",
+        summary=summary,
+        geometry_rows=GEOMETRY_ROWS,
+        final_iterations=FINAL_ITERATIONS,
+        smoothing=SMOOTHING,
+        units=dict(zip(demos.info.names, demos.info.units, strict=True)),
+        demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
+        paths=embedded(
+            interactive_paths(embedding, demos, np.arange(len(demos))).update_layout(**plain_layout())
+        ),
+        curves=embedded(interactive_curves(curves)),
+    )

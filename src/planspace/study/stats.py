@@ -1,0 +1,288 @@
+"""Statistics over seeds: what each arm reached, how sure that is, and what it decides.
+
+Every interval is a bootstrap's, at 95 %. Two arms are compared seed by seed: a seed's starts and noise are
+the same in both. Where seeds take several embeddings in turn, embeddings are drawn first and then the seeds
+of each, so that an interval says what other embeddings would bring, too.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.stats
+from jaxtyping import Float, Int
+
+from planspace.errors import PlanspaceError
+from planspace.study.design import Arm, Claim, Measure
+
+RESAMPLES = 5000
+CONFIDENCE = 0.95
+FINAL_STEPS, FINAL_SHARE = 200_000, 0.25
+"""What a seed reached is its mean return over the last 50 iterations of 4000 steps, and at most over the last
+quarter of a short training."""
+EARLY_SHARE = 0.25
+NUM_BEST = 2
+"""The best case is the mean of so many seeds: the paper's figures show the best and the second best."""
+VISIBLE_RATIO = {15: 1.73, 30: 1.45, 50: 1.33, 75: 1.26, 100: 1.22}
+"""Two normal samples of so many seeds show a ratio of deviations beyond this (two-sided, 95 %)."""
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The seeds of an arm, as far as they have been run."""
+
+    seeds: tuple[int, ...]
+    steps: Int[np.ndarray, " row"]
+    """Environment steps a seed at the end of each row."""
+    returns: Float[np.ndarray, "row seed"]
+    """Mean return of the iterations of each row."""
+    num_embeddings: int
+    """How many embeddings the seeds take in turn; seeds of one embedding are equal modulo this."""
+    frozen: int
+    """Seeds that diverged."""
+
+    @classmethod
+    def of(cls, arm: Arm, found: Sequence[dict[str, Any]]) -> "Scores":
+        """Puts the blocks of an arm together, in the order of their seeds.
+
+        Raises:
+            PlanspaceError: two blocks were run for other numbers of steps, or hold the same seed.
+        """
+        found = sorted(found, key=lambda result: result["seeds"][0])
+        seeds = tuple(seed for result in found for seed in result["seeds"])
+        if len(set(seeds)) < len(seeds) or len({tuple(result["steps"]) for result in found}) > 1:
+            raise PlanspaceError(f"the blocks of {arm.name} do not fit together.")
+        return cls(
+            seeds,
+            np.array(found[0]["steps"]),
+            np.concatenate([np.array(result["returns"], dtype=float) for result in found], axis=1),
+            arm.num_embeddings,
+            sum(sum(result["frozen"]) for result in found),
+        )
+
+    def of_seeds(self, seeds: Sequence[int]) -> "Scores":
+        """Those of some seeds."""
+        columns = [self.seeds.index(seed) for seed in seeds]
+        return Scores(tuple(seeds), self.steps, self.returns[:, columns], self.num_embeddings, self.frozen)
+
+
+# --- one number a seed ----------------------------------------------------------------------------------
+
+
+def final(scores: Scores) -> Float[np.ndarray, " seed"]:
+    """What each seed reached: its mean return over the last `FINAL_STEPS`."""
+    return _mean_between(scores, 1.0 - min(FINAL_STEPS / scores.steps[-1], FINAL_SHARE), 1.0)
+
+
+def early(scores: Scores) -> Float[np.ndarray, " seed"]:
+    """Its mean return over the first quarter of the training."""
+    return _mean_between(scores, 0.0, EARLY_SHARE)
+
+
+def whole(scores: Scores) -> Float[np.ndarray, " seed"]:
+    """Its mean return over all of it: the area under its curve, a step."""
+    return _mean_between(scores, 0.0, 1.0)
+
+
+def steps_to(scores: Scores, threshold: float, window: int = 2) -> Float[np.ndarray, " seed"]:
+    """Steps until the mean of `window` rows is first above a threshold; infinite where it never is."""
+    summed = np.cumsum(np.insert(scores.returns, 0, 0.0, axis=0), axis=0)
+    width = min(window, len(scores.returns))
+    above = (summed[width:] - summed[:-width]) / width > threshold
+    first = above.argmax(axis=0) + width - 1
+    return np.where(above.any(axis=0), scores.steps[first].astype(float), np.inf)
+
+
+def _mean_between(scores: Scores, low: float, high: float) -> Float[np.ndarray, " seed"]:
+    ends = scores.steps / scores.steps[-1]
+    rows = (ends > low + 1e-9) & (ends <= high + 1e-9)
+    rows[0 if high < 1.0 else -1] = True  # of a training of a few rows, the first or the last
+    weights = np.diff(scores.steps, prepend=0)[rows]
+    return np.average(scores.returns[rows], axis=0, weights=weights)
+
+
+# --- numbers over seeds ---------------------------------------------------------------------------------
+
+
+def mean(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
+    """The mean."""
+    return np.asarray(np.mean(x, axis=-1))
+
+
+def iqm(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
+    """Interquartile mean: of the middle half of the seeds (Agarwal et al. 2021)."""
+    return np.asarray(scipy.stats.trim_mean(x, 0.25, axis=-1))
+
+
+def best(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
+    """Mean of the best seeds."""
+    return np.asarray(np.sort(x, axis=-1)[..., -NUM_BEST:].mean(axis=-1))
+
+
+def log_deviation(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
+    """Logarithm of the deviation over seeds; of one seed, or of seeds all alike, of a billionth."""
+    return np.asarray(np.log(np.maximum(np.std(x, axis=-1, ddof=min(1, x.shape[-1] - 1)), 1e-9)))
+
+
+def interval(
+    scores: Scores, number: Callable[[np.ndarray], np.ndarray], x: Float[np.ndarray, " seed"]
+) -> Interval:
+    """95 % interval of a number over seeds."""
+    drawn = _draws(scores.seeds, scores.num_embeddings)
+    return _percentiles(number(x[drawn]))
+
+
+def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float, Interval]:
+    """IQM over tasks and seeds together, seeds drawn within each task (the stratified bootstrap).
+
+    Args:
+        samples: the normalised scores of each task.
+    """
+
+    def number(*drawn: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.asarray(scipy.stats.trim_mean(np.concatenate(drawn, axis=axis), 0.25, axis=axis))
+
+    found = scipy.stats.bootstrap(
+        tuple(samples), number, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    )
+    low, high = found.confidence_interval
+    return float(number(*samples)), (float(low), float(high))
+
+
+def probability_of_improvement(
+    arm: Float[np.ndarray, " seed"], other: Float[np.ndarray, " seed"]
+) -> tuple[float, Interval]:
+    """How often a seed of one arm is better than one of the other, ties counting half (Mann and Whitney)."""
+
+    def number(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        pairs = np.sign(a[..., :, None] - b[..., None, :])
+        return np.asarray((1.0 + pairs.mean(axis=(-2, -1))) / 2.0)
+
+    found = scipy.stats.bootstrap(
+        (arm, other), number, n_resamples=1000, method="percentile", rng=np.random.default_rng(0)
+    )
+    low, high = found.confidence_interval
+    return float(number(arm, other)), (float(low), float(high))
+
+
+def profile(
+    x: Float[np.ndarray, " seed"], thresholds: Float[np.ndarray, " threshold"]
+) -> Float[np.ndarray, " threshold"]:
+    """Performance profile: the share of seeds above each threshold."""
+    return np.asarray((x[:, None] > thresholds).mean(axis=0))
+
+
+def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[float, float] | None:
+    """Deviation due to the embedding, and due to the policy's seed (one-way random effects).
+
+    Returns:
+        None where there are fewer than two embeddings or a policy each.
+    """
+    groups = [
+        x[[i for i, seed in enumerate(scores.seeds) if seed % scores.num_embeddings == g]]
+        for g in range(scores.num_embeddings)
+    ]
+    sizes = {len(group) for group in groups}
+    if len(groups) < 2 or len(sizes) > 1 or min(sizes) < 2:
+        return None
+    (size,) = sizes
+    within = float(np.mean([group.var(ddof=1) for group in groups]))
+    between = float(np.var([group.mean() for group in groups], ddof=1))
+    return float(np.sqrt(max(between - within / size, 0.0))), float(np.sqrt(within))
+
+
+def deviation_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
+    """Logarithm of the deviation over seeds of `base` over that of `scores`, which have the same seeds."""
+    drawn = _draws(scores.seeds, max(scores.num_embeddings, base.num_embeddings))
+    x, y = final(scores), final(base)
+    number = log_deviation(y) - log_deviation(x)
+    return float(number), _percentiles(log_deviation(y[drawn]) - log_deviation(x[drawn]))
+
+
+# --- claims ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a claim."""
+
+    number: float
+    interval: Interval
+    seeds: int
+    """How many decided it."""
+    verdict: str
+    """holds, does not hold, or cannot tell."""
+
+
+MIN_SEEDS = 5
+"""Fewer decide nothing: what they do not differ in, a bootstrap does not see."""
+HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot tell"
+
+
+def judge(claim: Claim, arm: Scores, other: Scores | None) -> Verdict:
+    """Decides a claim; see `Claim`.
+
+    Args:
+        claim: the claim.
+        arm: its arm.
+        other: what it is compared with; of both, the seeds they share are taken.
+    """
+    of_seeds, over_seeds, sign = _MEASURES[claim.measure]
+    shared = tuple(seed for seed in arm.seeds if other is None or seed in other.seeds)
+    if len(shared) < MIN_SEEDS:
+        return Verdict(np.nan, (np.nan, np.nan), len(shared), OPEN)
+    groups = max(arm.num_embeddings, other.num_embeddings if other is not None else 0)
+    drawn = _draws(shared, groups)
+    x = of_seeds(arm.of_seeds(shared))
+    number, draws = over_seeds(x), over_seeds(x[drawn])
+    if other is not None:
+        y = of_seeds(other.of_seeds(shared))
+        number, draws = number - over_seeds(y), draws - over_seeds(y[drawn])
+    shift = claim.margin if other is None else 0.0
+    low, high = sorted(sign * (bound - shift) for bound in _percentiles(draws))
+    return Verdict(float(sign * (number - shift)), (low, high), len(shared), _verdict(claim, low, high))
+
+
+def _verdict(claim: Claim, low: float, high: float) -> str:
+    if claim.expects == "same":
+        near = claim.margin
+        return HOLDS if -near < low and high < near else FAILS if low > near or high < -near else OPEN
+    above, below = low > 0, high < 0
+    holds, fails = (above, below) if claim.expects == "more" else (below, above)
+    return HOLDS if holds else FAILS if fails else OPEN
+
+
+_MEASURES: dict[Measure, tuple[Callable[[Scores], np.ndarray], Callable[[np.ndarray], np.ndarray], int]] = {
+    "final": (final, mean, 1),
+    "early": (early, mean, 1),
+    "whole": (whole, mean, 1),
+    "best": (final, best, 1),
+    "spread": (final, log_deviation, -1),  # less spread is what is claimed
+    "early_spread": (early, log_deviation, -1),
+}
+"""A number of each seed, what is made of them, and which way is up."""
+
+
+@lru_cache(maxsize=64)
+def _draws(seeds: tuple[int, ...], num_embeddings: int) -> Int[np.ndarray, "resample seed"]:
+    """Which seeds each resample has: embeddings first, where there are several, then seeds of each."""
+    rng = np.random.default_rng(0)
+    if num_embeddings < 2:
+        return rng.integers(len(seeds), size=(RESAMPLES, len(seeds)))
+    groups = [np.flatnonzero(np.array(seeds) % num_embeddings == g) for g in range(num_embeddings)]
+    groups = [group for group in groups if len(group)]
+    sizes = np.array([len(group) for group in groups])
+    table = np.array([np.resize(group, sizes.max()) for group in groups])
+    chosen = rng.integers(len(groups), size=(RESAMPLES, len(groups), 1))
+    within = rng.random((RESAMPLES, len(groups), sizes.max())) * sizes[chosen]
+    return table[chosen, within.astype(int)].reshape(RESAMPLES, -1)
+
+
+def _percentiles(draws: np.ndarray) -> Interval:
+    tail = 100 * (1 - CONFIDENCE) / 2
+    low, high = np.percentile(draws, [tail, 100 - tail])
+    return float(low), float(high)

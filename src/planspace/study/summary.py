@@ -1,0 +1,216 @@
+"""A study's results as plain data: what the tables, the figures and the report are made of.
+
+Everything comes from the results of its units (`DIR/units`), so a report can be written on another machine
+than the one that ran them.
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planspace.rl.config import BATCH_STEPS
+from planspace.study import stats
+from planspace.study.design import Arm, Study
+from planspace.study.execute import is_done, read_result
+from planspace.study.stats import Scores, Verdict
+from planspace.study.unit import FitUnit, PlansUnit, Unit
+
+SOLVED = {"cartpole": 95.0, "cartpole-swingup": 0.0, "reacher-trig": -6.0, "reacher-raw": -6.0}
+"""A seed has solved its task when it reached more than this: the paper's levels, and on the swing-up a pole
+that stands."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a study."""
+
+    study: Study
+    results: dict[str, dict[str, Any]]
+    """What came of each unit that is done, by its name."""
+    scores: dict[str, Scores]
+    """The seeds of each arm of which any have been run, by its name."""
+
+    def panels(self) -> dict[str, list[Arm]]:
+        """The arms with scores, by figure."""
+        panels: dict[str, list[Arm]] = {}
+        for arm in self.study.arms:
+            if arm.name in self.scores:
+                panels.setdefault(arm.panel, []).append(arm)
+        return panels
+
+    def found(self, unit: Unit) -> dict[str, Any]:
+        """What came of a unit that is done."""
+        return self.results[unit.name]["found"]
+
+
+def read_findings(study: Study, out: Path) -> Findings:
+    """Reads what a study has found so far.
+
+    Args:
+        study: the study.
+        out: the folder of the studies.
+
+    Raises:
+        PlanspaceError: a result is damaged.
+    """
+    results = {unit.name: read_result(unit, out) for unit in study.units if is_done(unit, out)}
+    scores = {}
+    for arm in study.arms:
+        if found := [results[unit.name]["found"] for unit in arm.units if unit.name in results]:
+            scores[arm.name] = Scores.of(arm, found)
+    return Findings(study, results, scores)
+
+
+def summarise(findings: Findings) -> dict[str, Any]:
+    """The tables of a study.
+
+    Returns:
+        `panels`: for each figure its rows, of which the first is what the others are compared with; `claims`;
+        `embeddings`; `plans`; and `time`.
+    """
+    study = findings.study
+    return {
+        "study": study.name,
+        "budget": study.budget,
+        "question": study.question,
+        "units": {"done": len(findings.results), "all": len(study.units)},
+        "panels": {
+            panel: [_row(findings, arm, arms[0]) for arm in arms] for panel, arms in findings.panels().items()
+        },
+        "claims": [_claim(findings, i) for i in range(len(study.claims))],
+        "embeddings": [
+            {"name": name, **_embedding(findings, unit)} for name, unit in named_fits(findings).items()
+        ],
+        "plans": [_plans(findings, unit) for unit in study.units if _is(PlansUnit, unit, findings)],
+        "time": _time(findings),
+    }
+
+
+def named_fits(findings: Findings) -> dict[str, FitUnit]:
+    """The embeddings that are done, each by the first arm that uses it and its seed."""
+    named: dict[str, FitUnit] = {}
+    seen: set[str] = set()
+    for arm in findings.study.arms:
+        for fit in arm.units[0].fits:
+            if fit.name in findings.results and fit.name not in seen:
+                seen.add(fit.name)
+                label = f"{fit.plans.problem}: {arm.label}"
+                several = len(arm.units[0].fits) > 1
+                name = f"{label}, seed {fit.seed}" if several else label
+                named[name if name not in named else f"{name} ({arm.panel})"] = fit
+    return named
+
+
+def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
+    scores, base = findings.scores[arm.name], findings.scores[first.name]
+    x = stats.final(scores)
+    config = arm.units[0].config
+    solved = SOLVED.get(config.task) if config.reward == "dense" else None
+    improved = stats.probability_of_improvement(x, stats.final(base))
+    planned = sum(unit.config.num_seeds for unit in arm.units)
+    return {
+        "arm": arm.label,
+        "seeds": len(x),
+        "planned": planned,
+        "embeddings": arm.num_embeddings,
+        "frozen": scores.frozen,
+        "mean": float(x.mean()),
+        "mean_interval": stats.interval(scores, stats.mean, x),
+        "iqm": float(stats.iqm(x)),
+        "iqm_interval": stats.interval(scores, stats.iqm, x),
+        "worst": float(x.min()),
+        "best": float(x.max()),
+        "deviation": float(np.exp(stats.log_deviation(x))) if len(x) > 1 else 0.0,
+        "ratio": _ratio(scores, base) if arm is not first else None,
+        "improvement": improved if arm is not first else None,
+        "whole": float(stats.whole(scores).mean()),
+        "solved": float((x > solved).mean()) if solved is not None else None,
+        "steps_to_solved": _median_steps(scores, solved),
+        "components": stats.variance_components(scores, x),
+    }
+
+
+def _ratio(scores: Scores, base: Scores) -> tuple[float, stats.Interval] | None:
+    """Deviation over seeds of the first arm over this one's, with its interval."""
+    shared = tuple(seed for seed in scores.seeds if seed in base.seeds)
+    if len(shared) < 3:
+        return None
+    log, (low, high) = stats.deviation_ratio(scores.of_seeds(shared), base.of_seeds(shared))
+    return float(np.exp(log)), (float(np.exp(low)), float(np.exp(high)))
+
+
+def _median_steps(scores: Scores, solved: float | None) -> float | None:
+    """Steps until half of the seeds are above the threshold; None where fewer ever are."""
+    if solved is None:
+        return None
+    steps = float(np.median(stats.steps_to(scores, solved)))
+    return steps if np.isfinite(steps) else None
+
+
+def _claim(findings: Findings, number: int) -> dict[str, Any]:
+    claim = findings.study.claims[number]
+    arm, other = findings.scores.get(claim.arm), findings.scores.get(claim.other)
+    if arm is None or (claim.other and other is None):
+        verdict = Verdict(np.nan, (np.nan, np.nan), 0, "not run yet")
+    else:
+        verdict = stats.judge(claim, arm, other)
+    found = {**asdict(claim), **asdict(verdict)}
+    return found if np.isfinite(verdict.number) else {**found, "number": None, "interval": None}
+
+
+def _embedding(findings: Findings, unit: FitUnit) -> dict[str, Any]:
+    found = findings.found(unit)
+    return {"demos": unit.plans.num, "z_dim": unit.config.z_dim, "seed": found["seed"], **found["metrics"]}
+
+
+def _plans(findings: Findings, unit: Unit) -> dict[str, Any]:
+    found = findings.found(unit)
+    assert isinstance(unit, PlansUnit)
+    return {"problem": unit.problem, "source": unit.source, "settings": dict(unit.settings), **found}
+
+
+def _is(kind: type, unit: Unit, findings: Findings) -> bool:
+    return isinstance(unit, kind) and unit.name in findings.results
+
+
+def _time(findings: Findings) -> dict[str, int]:
+    """What the finished units took, and what the whole study will, by the cost of the units that are left."""
+    whole = [unit for unit in findings.study.units if unit.name in findings.results]
+    timed = [unit for unit in whole if not findings.results[unit.name]["resumed"]]
+    seconds = sum(findings.results[unit.name]["seconds"] for unit in timed)
+    guessed = sum(unit.cost for unit in timed)
+    factor = seconds / guessed if guessed else 1.0
+    return {
+        "timed_units": len(timed),
+        "timed_core_seconds": round(seconds),
+        "guessed_core_seconds": round(guessed),
+        "whole_core_seconds": round(factor * sum(unit.cost for unit in findings.study.units)),
+    }
+
+
+# --- as text --------------------------------------------------------------------------------------------
+
+
+def as_text(summary: dict[str, Any]) -> str:
+    """The tables for a terminal."""
+    units = summary["units"]
+    lines = [f"study {summary['study']}, budget {summary['budget']}: {units['done']} of {units['all']} units"]
+    for panel, rows in summary["panels"].items():
+        head = f"{panel}: return over the last {stats.FINAL_STEPS // BATCH_STEPS} iterations"
+        lines += ["", f"{head:<64}{'mean':>9}{'95 % interval':>20}{'worst':>9}{'best':>9}{'seeds':>7}"]
+        for row in rows:
+            low, high = row["mean_interval"]
+            line = f"  {row['arm']:<62}{row['mean']:>9.1f}{f'({low:.1f}, {high:.1f})':>20}"
+            lines.append(f"{line}{row['worst']:>9.1f}{row['best']:>9.1f}{row['seeds']:>7}")
+    if summary["claims"]:
+        lines += ["", f"{'claim':<82}{'number':>9}{'95 % interval':>20}  verdict"]
+    for claim in summary["claims"]:
+        if claim["interval"] is None:
+            lines.append(f"  {claim['text']:<80}{'':>29}  {claim['verdict']}")
+            continue
+        low, high = claim["interval"]
+        number = f"{claim['number']:>9.2f}{f'({low:.2f}, {high:.2f})':>20}"
+        lines.append(f"  {claim['text']:<80}{number}  {claim['verdict']}")
+    return "\n".join(lines)

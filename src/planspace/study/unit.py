@@ -1,0 +1,129 @@
+"""The units a study is made of: demonstrations, embeddings, and policies of a few seeds.
+
+A unit is plain data. Its name is the hash of all that it depends on, so the same unit of two studies is one,
+and is run once.
+"""
+
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+from planspace.embed.config import FitConfig
+from planspace.rl.config import TrainConfig
+from planspace.store import json_hash
+
+PlanSource = Literal["plan", "2020"]
+
+SECONDS_A_PLAN = {"plan": 0.85, "2020": 2.0}
+SECONDS_A_TRIPLET = 4.5e-6
+STEPS_A_SECOND = {"trpo": 60_000, "ppo": 42_000}
+"""What one core does, roughly: the time left is guessed by it until units have shown better."""
+
+
+class _Unit:
+    """What all units share."""
+
+    kind: ClassVar[str]
+
+    @cached_property
+    def spec(self) -> dict[str, Any]:
+        """Everything it depends on, as plain data; what has its default is left out, so that a setting that
+        is added later changes no name.
+        """
+        return {"kind": self.kind, **_plain(self)}
+
+    @cached_property
+    def name(self) -> str:
+        """Its kind and the hash of `spec`."""
+        return f"{self.kind}-{json_hash(self.spec)[:16]}"
+
+
+@dataclass(frozen=True)
+class PlansUnit(_Unit):
+    """A dataset of demonstrations."""
+
+    kind = "plans"
+    problem: str
+    """A shipped planning problem."""
+    num: int
+    """How many."""
+    settings: tuple[tuple[str, int | float], ...] = ()
+    """What differs from the problem's planner settings."""
+    source: PlanSource = "plan"
+    """`plan`: our planner. `2020`: plans as wrong as those of 2020; see `wound`."""
+    seed: int = 0
+
+    @property
+    def needs(self) -> tuple[_Unit, ...]:
+        """Units whose folders it reads."""
+        return ()
+
+    @property
+    def cost(self) -> float:
+        """A guess of the seconds it takes one core."""
+        return SECONDS_A_PLAN[self.source] * self.num
+
+
+@dataclass(frozen=True)
+class FitUnit(_Unit):
+    """An embedding: the best of some seeds."""
+
+    kind = "fit"
+    plans: PlansUnit
+    """What it is trained on."""
+    config: FitConfig
+    """How."""
+    num_seeds: int = 1
+    """How many seeds, of which the best is kept."""
+    seed: int = 0
+    """The first."""
+
+    @property
+    def needs(self) -> tuple[_Unit, ...]:
+        """Units whose folders it reads."""
+        return (self.plans,)
+
+    @property
+    def cost(self) -> float:
+        """A guess of the seconds it takes one core."""
+        return self.num_seeds * (3.0 + SECONDS_A_TRIPLET * self.config.steps * self.config.batch)
+
+
+@dataclass(frozen=True)
+class PolicyUnit(_Unit):
+    """Policies of some neighbouring seeds of an arm."""
+
+    kind = "policies"
+    config: TrainConfig
+    """The arm, and which seeds."""
+    fits: tuple[FitUnit, ...] = ()
+    """What makes z; seed s takes number s modulo how many there are."""
+
+    @property
+    def needs(self) -> tuple[_Unit, ...]:
+        """Units whose folders it reads."""
+        return self.fits
+
+    @property
+    def cost(self) -> float:
+        """A guess of the seconds it takes one core."""
+        return self.config.steps * self.config.num_seeds / STEPS_A_SECOND[self.config.algo]
+
+
+Unit = PlansUnit | FitUnit | PolicyUnit
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses as what differs from their defaults."""
+    if isinstance(value, TrainConfig):
+        value = value.learning()  # the preset's settings themselves, which may change under its name
+    if is_dataclass(value):
+        pairs = ((f, getattr(value, f.name)) for f in fields(value))
+        return {f.name: _plain(x) for f, x in pairs if x != _default(f)}
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    return value
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default_factory() if field.default_factory is not MISSING else field.default

@@ -1,0 +1,129 @@
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from planspace.embed.embedding import Embedding
+from planspace.envs.batch import TaskBatch
+from planspace.envs.wrappers import PlanSpaceShaping
+from planspace.errors import UsageError
+from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.shaping import Shaping
+from planspace.rl.train import train
+from planspace.tasks import TASKS
+
+CONFIG = TrainConfig(
+    "cartpole-swingup", obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS
+)
+ALONE = replace(CONFIG, num_seeds=1)
+RUNNING = np.zeros(1, dtype=bool)
+
+
+def shaping_of(config: TrainConfig, *embeddings: Embedding) -> Shaping:
+    found = Shaping.of(config, embeddings)
+    assert found is not None
+    return found
+
+
+def test_the_way_from_a_mean_start_to_the_goal_is_worth_the_scale(embedding: Embedding) -> None:
+    starts, _ = TASKS["cartpole-swingup"].sample_starts(1000, np.random.default_rng(0))
+    goal = np.zeros((1000, 4))
+    for form in ("z", "raw"):
+        config = replace(CONFIG, shaping=form, num_seeds=1).learning(discount=1.0)
+        paid = shaping_of(config, embedding)(starts, goal, np.zeros(1000, dtype=bool))
+        assert paid.mean() == pytest.approx(7.0)
+
+
+def test_what_an_episode_is_paid_telescopes(embedding: Embedding, rng: np.random.Generator) -> None:
+    shape = shaping_of(ALONE, embedding)
+    gamma = CONFIG.learns.discount
+    states = rng.normal(size=(11, 1, 4))
+    paid = [shape(a, b, RUNNING)[0] for a, b in itertools.pairwise(states)]
+    summed = sum(gamma**t * x for t, x in enumerate(paid))
+    # gamma^10 Phi(x_10) - Phi(x_0), whatever lies between: from and to the goal, whose potential is 0
+    goal = np.zeros((1, 4))
+    last, first = shape(goal, states[-1], RUNNING)[0] / gamma, shape(goal, states[0], RUNNING)[0] / gamma
+    assert summed == pytest.approx(gamma**10 * last - first)
+    ended = shape(states[0], states[1], ~RUNNING)[0]
+    assert ended == pytest.approx(-first)  # an episode that terminates ends at potential 0
+
+
+def test_raw_distance_takes_angles_the_short_way_round() -> None:
+    shape = shaping_of(replace(ALONE, shaping="raw"))
+    near, turned = np.zeros((1, 4)), np.array([[0.0, 2 * np.pi, 0.0, 0.0]])
+    assert shape(near, turned, RUNNING)[0] == pytest.approx(0.0)
+
+
+def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: Path) -> None:
+    shape = shaping_of(ALONE, embedding)
+    starts, _ = TASKS["cartpole-swingup"].sample_starts(1000, np.random.default_rng(0))
+    typical = float(embedding.distance(starts, np.zeros(4)).mean())
+    env = PlanSpaceShaping(
+        gymnasium.make("planspace/CartPoleSwingUp-v0"),
+        embedding_folder,
+        goal=[0.0] * 4,
+        scale=7.0 / typical,
+        discount=CONFIG.learns.discount,
+    )
+    _, info = env.reset(seed=0)
+    before = info["state"]
+    for _ in range(5):
+        *_, info = env.step(env.action_space.sample())
+        expected = shape(before[None], info["state"][None], RUNNING)[0]
+        assert info["shaping"] == pytest.approx(expected, abs=1e-6)
+        before = info["state"]
+
+
+def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
+    other = replace(embedding, encoder=([-w for w in embedding.encoder[0]], embedding.encoder[1]))
+    states = np.random.default_rng(0).normal(size=(2, 40, 4))
+    ended = np.zeros(40, dtype=bool)
+    both = shaping_of(CONFIG, embedding, other)(*states, ended)
+    shared = shaping_of(CONFIG, embedding)(*states, ended)
+    halves = states[:, :20], states[:, 20:]
+    one = replace(CONFIG, num_seeds=1)
+    first = shaping_of(one, embedding)(*halves[0], ended[:20])
+    second = [shaping_of(one, e)(*halves[1], ended[20:]) for e in (embedding, other)]
+    np.testing.assert_array_equal(both, np.concatenate([first, second[1]]))  # bit for bit as alone
+    np.testing.assert_array_equal(shared, np.concatenate([first, second[0]]))
+    assert not np.allclose(*second, rtol=1e-2)
+
+
+@pytest.mark.parametrize("algo", ["trpo", "ppo"])
+def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embedding, tmp_path: Path) -> None:
+    config = replace(CONFIG, algo=algo)
+    shaped = train(config, tmp_path / "shaped", [embedding])
+    plain = train(replace(config, shaping="none"), tmp_path / "plain")
+    np.testing.assert_array_equal(shaped["return"][0], plain["return"][0])  # the same first policy
+    assert (shaped["return"][1] != plain["return"][1]).all()
+    again = train(config, tmp_path / "again", [embedding])
+    np.testing.assert_array_equal(again["return"], shaped["return"])
+
+
+def test_a_sparse_reward_is_one_at_the_goal(tmp_path: Path) -> None:
+    config = replace(CONFIG, shaping="none", reward="sparse")
+    returns = train(config, tmp_path / "run")["return"]
+    assert (returns >= 0).all() and (returns * 20 == np.round(returns * 20)).all()  # steps, over 20 episodes
+    batch = TaskBatch(TASKS["cartpole-swingup"], 1, reward="sparse")
+    batch.reset(np.zeros((1, 4)), np.zeros((1, 0)))
+    assert batch.step(np.zeros((1, 1)))[0] == 1.0
+
+
+def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="shaping by 'z' needs an embedding"):
+        train(CONFIG, tmp_path / "a")
+    reacher = replace(CONFIG, task="reacher-raw", obs="raw", shaping="raw")
+    with pytest.raises(
+        UsageError, match="shaping needs one goal; reacher-raw has another target in every episode"
+    ):
+        train(reacher, tmp_path / "b")
+    with pytest.raises(UsageError, match="or --shaping z"):
+        train(replace(CONFIG, shaping="none"), tmp_path / "c", [embedding])
+    with pytest.raises(UsageError, match=r"the scale of the shaping is above 0, got 0\.0"):
+        replace(CONFIG, shaping_scale=0.0)
+    with pytest.raises(UsageError, match="unknown form of reward of cartpole '2020'"):
+        train(TrainConfig("cartpole", reward="2020"), tmp_path / "d")
+    assert not any((tmp_path / name).exists() for name in "abcd")

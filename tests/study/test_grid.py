@@ -1,0 +1,116 @@
+from dataclasses import replace
+
+import pytest
+
+from planspace.embed.config import PRESETS
+from planspace.errors import UsageError
+from planspace.rl.config import TrainConfig
+from planspace.study.grid import BUDGETS, STUDIES, make_study
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
+
+PLANS = PlansUnit("cartpole-swingup", 20)
+FIT = FitUnit(PLANS, PRESETS["modern"])
+POLICY = PolicyUnit(TrainConfig("cartpole-swingup", z="augment"), (FIT,))
+
+
+def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
+    assert replace(POLICY).name == POLICY.name
+    others = [
+        replace(POLICY, config=replace(POLICY.config, seed=5)),
+        replace(POLICY, config=POLICY.config.learning(discount=0.9)),
+        replace(POLICY, fits=(replace(FIT, seed=1),)),
+        replace(POLICY, fits=(replace(FIT, plans=replace(PLANS, num=21)),)),
+        replace(POLICY, fits=(replace(FIT, plans=replace(PLANS, settings=(("restarts", 1),))),)),
+    ]
+    assert len({unit.name for unit in (POLICY, *others)}) == 1 + len(others)
+
+
+def test_a_preset_counts_by_what_it_says_and_defaults_are_left_out() -> None:
+    named = PolicyUnit(TrainConfig("cartpole", preset="modern"))
+    spelled = PolicyUnit(TrainConfig("cartpole", preset="modern").learning())
+    assert named.name == spelled.name
+    assert PolicyUnit(TrainConfig("cartpole")).spec == {
+        "kind": "policies",
+        "config": {"task": "cartpole", "learner": {}},
+    }
+    assert "critic" in named.spec["config"]["learner"]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("budget", BUDGETS)
+def test_studies_hold_together(name: str, budget: str) -> None:
+    study = make_study(name, budget)
+    names = [arm.name for arm in study.arms]
+    assert len(set(names)) == len(names)
+    for claim in study.claims:
+        assert claim.arm in names and (claim.other in names or not claim.other), claim
+        assert claim.expects != "same" or claim.margin > 0
+    texts = [claim.text for claim in study.claims]
+    assert len(set(texts)) == len(texts)
+    seen: set[str] = set()
+    for unit in study.units:
+        assert all(need.name in seen for need in unit.needs)
+        seen.add(unit.name)
+    for arm in study.arms:
+        seeds = [seed for unit in arm.units for seed in unit.config.seeds]
+        assert seeds == list(range(len(seeds)))
+        assert len({unit.config.steps for unit in arm.units}) == 1
+
+
+def test_the_paper_has_two_systems_two_sizes_and_fifteen_seeds() -> None:
+    study = make_study("paper", "paper")
+    assert len(study.arms) == 2 * 4 * 5
+    assert {(fit.plans.problem, fit.config.z_dim) for fit in study.fits} == {
+        (problem, z) for problem in ("cartpole-swingup", "reacher") for z in (3, 10)
+    }
+    assert all(fit.num_seeds == 5 and fit.config.preset == "paper" for fit in study.fits)
+    assert all(sum(unit.config.num_seeds for unit in arm.units) == 15 for arm in study.arms)
+    assert {unit.config.steps for arm in study.arms for unit in arm.units} == {8_000_000}
+
+
+def test_the_reachers_that_see_z_alone_are_run_once() -> None:
+    study = make_study("paper", "half")
+    arms = {arm.name: arm for arm in study.arms}
+    for size in ("low-Z only", "high-Z only"):
+        trig, raw = (arms[f"reacher-{form}, TRPO/{size}"] for form in ("trig", "raw"))
+        assert trig.units == raw.units
+    policies = [unit for unit in study.units if isinstance(unit, PolicyUnit)]
+    assert len(policies) == 3 * (40 - 4)
+
+
+def test_studies_share_the_units_they_have_in_common() -> None:
+    paper, controls = make_study("paper", "half"), make_study("controls", "half")
+    shared = {unit.name for unit in paper.units} & {unit.name for unit in controls.units}
+    assert len(shared) == 2 + 3 * 4  # both sets of demonstrations; raw on two tasks with two algorithms
+
+
+def test_more_seeds_keep_the_first_ones() -> None:
+    few, many = make_study("paper", "half"), make_study("paper", "half", seeds=50)
+    assert {unit.name for unit in few.units} < {unit.name for unit in many.units}
+    assert all(sum(unit.config.num_seeds for unit in arm.units) == 50 for arm in many.arms)
+    with pytest.raises(UsageError, match="in blocks of 5"):
+        make_study("paper", "half", seeds=12)
+
+
+def test_the_recipe_has_fifteen_policies_for_each_of_five_embeddings() -> None:
+    arm = make_study("recipe", "full").arms[0]
+    assert arm.num_embeddings == 5
+    seeds = [seed for unit in arm.units for seed in unit.config.seeds]
+    assert [sum(seed % 5 == g for seed in seeds) for g in range(5)] == [15] * 5
+
+
+def test_some_arms_alone_keep_the_claims_about_them() -> None:
+    study = make_study("paper", "half").only(["swingup, TRPO/raw", "swingup, TRPO/low-Z augment"])
+    assert len(study.arms) == 2
+    assert len(study.claims) == 4
+    with pytest.raises(
+        UsageError, match=r"study paper has no arm like nothing\. Its arms: cartpole, TRPO/raw;"
+    ):
+        make_study("paper", "half").only(["nothing"])
+
+
+def test_unknown_names_are_refused_with_those_there_are() -> None:
+    with pytest.raises(UsageError, match="unknown study 'controle'. Did you mean 'controls'?"):
+        make_study("controle", "half")
+    with pytest.raises(UsageError, match="unknown budget 'ful'. Did you mean 'full'?"):
+        make_study("paper", "ful")

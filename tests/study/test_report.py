@@ -1,0 +1,166 @@
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planspace.embed.config import PRESETS
+from planspace.rl.config import TrainConfig
+from planspace.store import write_sealed
+from planspace.study.design import Arm, Claim, Study
+from planspace.study.execute import SCHEMA, result_file
+from planspace.study.report import slug, write_report
+from planspace.study.run import open_results
+from planspace.study.summary import read_findings
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+
+EVIL = "<script>alert('evil')</script>"
+PLANS = PlansUnit("cartpole-swingup", 20)
+FITS = tuple(FitUnit(PLANS, PRESETS["paper"].changed(z_dim=z), num_seeds=2) for z in (2, 3))
+BASE = TrainConfig("cartpole-swingup", steps=400_000, num_seeds=5)
+
+
+def arm(label: str, config: TrainConfig = BASE, fits: tuple[FitUnit, ...] = ()) -> Arm:
+    return Arm(f"swing-up {EVIL}", label, tuple(PolicyUnit(replace(config, seed=s), fits) for s in (0, 5)))
+
+
+ARMS = (
+    arm("raw"),
+    arm(f"z {EVIL}", replace(BASE, z="augment"), FITS),
+    arm("sparse", replace(BASE, reward="sparse")),
+)
+STUDY = Study(
+    "pretend",
+    "half",
+    f"Is it safe? {EVIL}",
+    ARMS,
+    (
+        Claim(f"z helps {EVIL}", "ours", "final", ARMS[1].name, ARMS[0].name),
+        Claim("even", "ours", "final", ARMS[2].name, ARMS[0].name, "same", 5.0),
+        Claim("unknown", "ours", "final", "no such arm", ARMS[0].name),
+    ),
+    (f"A note {EVIL}",),
+)
+
+
+def pretended(unit: Unit, rng: np.random.Generator) -> dict[str, Any]:
+    if isinstance(unit, PlansUnit):
+        return {"hash": "", "count": 20, "median_duration_s": 0.8, "reached": 1.0}
+    if isinstance(unit, FitUnit):
+        names = ("straightness", "speed_variation", "midpoint_error", "time_correlation", "path_error")
+        metrics = dict.fromkeys((*names, "effective_rank", "decoded_error"), 0.5)
+        paths = rng.normal(size=(3, 10, min(3, unit.config.z_dim))).tolist()
+        curves = {name: rng.normal(size=(30, 2)).tolist() for name in ("path_error", "bound")}
+        return {
+            "hash": "", "seed": 1, "metrics": metrics, "paths": paths, "log_steps": list(range(30)), **curves
+        }  # fmt: skip
+    returns = rng.normal(size=(20, 5)) + 100.0 * bool(unit.fits)
+    poses = rng.integers(-500, 500, (8, 2, 4)).tolist()
+    return {
+        "seeds": list(unit.config.seeds),
+        "steps": [20_000 * (i + 1) for i in range(20)],
+        "returns": returns.tolist(),
+        "eval_steps": [400_000],
+        "eval_returns": [[None, *returns[-1, 1:].tolist()]],
+        "frozen": [True, False, False, False, False],
+        "film": {"seed": unit.config.seed, "seconds": 0.05, "poses": poses},
+    }
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out, rng = tmp_path_factory.mktemp("report"), np.random.default_rng(0)
+    open_results(out)
+    (out / "units").mkdir()
+    for unit in STUDY.units:
+        head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
+        found = {"found": pretended(unit, rng), "seconds": 1.0, "resumed": False}
+        write_sealed(result_file(unit, out), {**head, **found})
+    return write_report(read_findings(STUDY, out), out)[1]
+
+
+def own_text(page: Path) -> str:
+    """The page without Plotly's code, which names many places."""
+    html = page.read_text()
+    return html[: html.index("<script>")] + html[html.index("</script>") :]
+
+
+def test_names_stay_text_and_nothing_is_loaded(page: Path) -> None:
+    own = own_text(page)
+    assert own.count("&lt;script&gt;alert(&#39;evil&#39;)") >= 5
+    assert EVIL not in own
+    assert "default-src 'none'" in own
+    assert "http" not in own.replace("http-equiv", "")
+
+
+def test_every_figure_and_table_is_there_as_a_file(page: Path) -> None:
+    tables = json.loads((page.parent / "tables.json").read_text())
+    assert [claim["verdict"] for claim in tables["claims"]] == ["holds", "holds", "not run yet"]
+    (panel,) = tables["panels"].values()
+    assert [row["seeds"] for row in panel] == [10, 10, 10]
+    assert [row["frozen"] for row in panel] == [2, 2, 2]
+    assert panel[1]["solved"] == 1.0 and panel[2]["solved"] is None  # a sparse return has no level
+    assert panel[1]["improvement"][0] == 1.0 and panel[1]["components"] is not None
+    names = {file.name for file in (page.parent / "figures").iterdir()}
+    panel_name = slug(ARMS[0].panel)
+    for name in (panel_name, f"{panel_name}-profile"):
+        assert {f"{name}.png", f"{name}.svg"} <= names
+    assert sum(name.startswith("training-") and name.endswith(".svg") for name in names) == 2
+
+
+@pytest.fixture(scope="module")
+def chromium() -> str:
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if found is None:
+        pytest.skip("needs Chromium")
+    return found
+
+
+PROBE = """<script>
+window.addEventListener("load", () => setTimeout(() => {
+  const said = [];
+  const table = document.querySelectorAll("table.sortable")[1];
+  const first = () => table.tBodies[0].rows[0].cells[0].textContent.trim();
+  table.tHead.rows[0].cells[1].click(); said.push("ascending " + first());
+  table.tHead.rows[0].cells[1].click(); said.push("descending " + first());
+  document.querySelectorAll("details").forEach(d => d.open = true);
+  document.querySelector(".film button").click();
+  said.push("plays " + document.querySelector(".film button").textContent);
+  said.push("plots " + document.querySelectorAll(".js-plotly-plot .main-svg").length);
+  said.push("wide " + (document.documentElement.scrollWidth <= window.innerWidth));
+  const asked = performance.getEntriesByType("resource").filter(e => !e.name.startsWith("data:"));
+  said.push("asked " + asked.length);
+  document.title = "probe: " + said.join("; ");
+}, 500));
+</script>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1300])
+def test_it_works_in_a_browser(page: Path, chromium: str, tmp_path: Path, width: int) -> None:
+    probed = tmp_path / "probed.html"
+    probed.write_text(page.read_text().replace("</body>", PROBE + "</body>"))
+    flags = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+        "--disable-background-networking", "--disable-component-update", "--enable-unsafe-swiftshader",
+        f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},900", "--enable-logging=stderr",
+        "--virtual-time-budget=8000", "--dump-dom",
+    ]  # fmt: skip
+    found = subprocess.run(
+        [chromium, *flags, probed.as_uri()], capture_output=True, text=True, timeout=120, check=False
+    )
+    title = re.search(r"<title>(.*?)</title>", found.stdout, re.DOTALL)
+    assert title is not None, found.stderr[-2000:]
+    said = title.group(1)
+    assert "probe: ascending" in said
+    assert "descending z" in said  # the arm with z has the highest mean
+    assert "plays stop" in said and "wide true" in said and "asked 0" in said
+    assert "plots 0" not in said
+    console = [line for line in found.stderr.splitlines() if ":CONSOLE:" in line or ":CONSOLE(" in line]
+    wrong = [line for line in console if "ERROR" in line or "Uncaught" in line or "Refused" in line]
+    assert wrong == []

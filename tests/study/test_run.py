@@ -1,0 +1,246 @@
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from planspace.embed.config import PRESETS
+from planspace.errors import PlanspaceError
+from planspace.rl.config import TrainConfig
+from planspace.study import run as module
+from planspace.study.design import Arm, Claim, Study
+from planspace.study.execute import folder_of, is_done, read_result
+from planspace.study.report import write_report
+from planspace.study.run import failures, open_results, run_study, units_to_run
+from planspace.study.summary import as_text, read_findings, summarise
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+
+PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
+FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
+BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
+
+
+def policy(seed: int, z: bool = False) -> PolicyUnit:
+    config = replace(BASE, seed=seed, z="augment" if z else "none")
+    return PolicyUnit(config, (FIT,) if z else ())
+
+
+RAW = Arm("balance", "raw", (policy(0), policy(1)))
+WITH_Z = Arm("balance", "raw + z", (policy(0, z=True), policy(1, z=True)))
+TINY = Study(
+    "tiny",
+    "smoke",
+    "Does it run?",
+    (RAW, WITH_Z),
+    (Claim("z helps", "ours", "final", WITH_Z.name, RAW.name),),
+)
+
+
+def what_was_found(study: Study, out: Path) -> dict[str, dict]:
+    return {unit.name: read_result(unit, out)["found"] for unit in study.units}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("study") / "out"
+    assert run_study(TINY, out, workers=2) == {}
+    return out
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "out")
+
+
+def test_every_unit_leaves_its_result(finished: Path) -> None:
+    found = what_was_found(TINY, finished)
+    assert found[PLANS.name]["count"] == 12 and found[PLANS.name]["reached"] == 1.0
+    fit = found[FIT.name]
+    assert fit["seed"] in (0, 1) and len(fit["bound"][0]) == 2 and len(fit["paths"][0][0]) == 3
+    for arm in TINY.arms:
+        for unit in arm.units:
+            result = found[unit.name]
+            assert result["seeds"] == [unit.config.seed] and result["steps"] == [4000, 8000]
+            assert all(0 < row[0] <= 100 for row in result["returns"])
+            assert len(result["film"]["poses"]) > 1
+    kinds = {file.name.split("-")[0] for file in (finished / "units").iterdir()}
+    assert kinds == {"plans", "fit", "policies"}
+
+
+def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> None:
+    shutil.rmtree(copied / "work")  # results alone were brought here
+    assert units_to_run(TINY, copied) == []
+    more = replace(TINY, arms=(replace(WITH_Z, units=(*WITH_Z.units, policy(2, z=True))),))
+    # a new unit needs the embedding, and that its demonstrations; the results of both are there all the same
+    assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
+    before = {unit.name: read_result(unit, copied)["found"] for unit in (PLANS, FIT)}
+    assert run_study(more, copied, workers=1) == {}
+    assert {unit.name: read_result(unit, copied)["found"] for unit in (PLANS, FIT)} == before
+    assert is_done(policy(2, z=True), copied)
+
+
+def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:
+    more = replace(TINY, arms=(replace(RAW, units=(*RAW.units, policy(2))),))
+    assert units_to_run(more, copied) == [policy(2)]
+    run_study(more, copied, workers=1)
+    scores = read_findings(more, copied).scores[RAW.name]
+    assert scores.seeds == (0, 1, 2)
+
+
+def test_a_unit_that_fails_is_tried_twice_and_listed_and_the_rest_goes_on(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = replace(PLANS, num=2)  # too few to split
+    bad = replace(FIT, plans=few)
+    broken = Arm("balance", "broken", (replace(policy(0, z=True), fits=(bad,)),))
+    study = replace(TINY, arms=(broken, replace(RAW, units=(policy(3),))))
+    failed = run_study(study, copied, workers=1)
+    assert set(failed) == {bad.name, broken.units[0].name}
+    assert failed[broken.units[0].name] == "what it needs has failed"
+    lines = list(failures(failed, study))
+    assert any("balance/broken" in line for line in lines)
+    assert is_done(policy(3), copied) and is_done(few, copied)
+    log = (copied / "work" / f"{bad.name}.log").read_text()
+    assert log.count("Traceback (most recent call last)") == module.ATTEMPTS
+    assert not is_done(bad, copied)
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[Unit] = []
+    start = module._start
+
+    def start_and_kill(unit: Unit, out: Path, slot: int, workers: int) -> module._Worker:
+        worker = start(unit, out, slot, workers)
+        if not started:
+            worker.process.kill()
+        started.append(unit)
+        return worker
+
+    monkeypatch.setattr(module, "_start", start_and_kill)
+    study = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
+    assert run_study(study, tmp_path / "out", workers=1) == {}
+    assert started == [policy(0), policy(0)]
+
+
+def test_a_killed_worker_is_named_so_when_it_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = module._start
+
+    def start_and_kill(unit: Unit, out: Path, slot: int, workers: int) -> module._Worker:
+        worker = start(unit, out, slot, workers)
+        worker.process.kill()
+        return worker
+
+    monkeypatch.setattr(module, "_start", start_and_kill)
+    study = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
+    failed = run_study(study, tmp_path / "out", workers=1)
+    assert failed == {policy(0).name: "its process was killed by SIGKILL"}
+
+
+def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
+    from planspace.store import locked
+
+    with locked(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
+        run_study(TINY, copied)
+    assert run_study(TINY, copied) == {}
+
+
+def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
+    config = json.loads((copied / "config.json").read_text())
+    config["versions"]["planspace"] = "0.0.1"
+    (copied / "config.json").write_text(json.dumps(config))
+    with pytest.raises(PlanspaceError, match=r"other settings: versions\.planspace was '0\.0\.1', now"):
+        open_results(copied)
+
+
+def test_a_damaged_result_is_refused_by_name(copied: Path) -> None:
+    file = copied / "units" / f"{policy(0).name}.json"
+    file.write_text(file.read_text().replace('"seeds": [0]', '"seeds": [7]'))
+    with pytest.raises(PlanspaceError, match=f"{file.name} does not match its own checksum"):
+        read_findings(TINY, copied)
+
+
+def test_tables_are_made_of_results_alone(copied: Path) -> None:
+    shutil.rmtree(copied / "work")
+    summary = summarise(read_findings(TINY, copied))
+    assert summary["units"] == {"done": 6, "all": 6}
+    rows = {row["arm"]: row for row in summary["panels"]["balance"]}
+    assert list(rows) == ["raw", "raw + z"]
+    assert rows["raw"]["seeds"] == 2 and rows["raw"]["improvement"] is None
+    assert rows["raw"]["worst"] <= rows["raw"]["mean"] <= rows["raw"]["best"]
+    assert summary["claims"][0]["verdict"] == "cannot tell"  # two seeds
+    assert summary["embeddings"][0]["demos"] == 12
+    assert summary["time"]["timed_units"] == 6
+    assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
+
+
+def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
+    for unit in WITH_Z.units:
+        (copied / "units" / f"{unit.name}.json").unlink()
+    summary, page = write_report(read_findings(TINY, copied), copied)
+    assert summary["claims"][0]["verdict"] == "not run yet"
+    assert [row["arm"] for row in summary["panels"]["balance"]] == ["raw"]
+    assert "4 of 6 units are done" in page.read_text()
+    for unit in RAW.units:
+        (copied / "units" / f"{unit.name}.json").unlink()
+    with pytest.raises(PlanspaceError, match="no arm of study tiny has been run in"):
+        write_report(read_findings(TINY, copied), copied)
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {root!r})
+from planspace.study.run import run_study
+from tests.study.test_run import TINY
+
+if __name__ == "__main__":
+    run_study(TINY, Path({out!r}), workers=2)
+"""
+
+
+def command(tmp_path: Path, out: Path) -> list[str]:
+    script = tmp_path / "study.py"
+    script.write_text(SCRIPT.format(root=str(Path(__file__).parents[2]), out=str(out)))
+    return [sys.executable, str(script)]
+
+
+@pytest.mark.slow
+def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
+    out, rng = tmp_path / "out", random.Random(0)
+    for kill in range(10):
+        process = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL)
+        try:
+            process.wait(rng.uniform(2.0, 9.0) if kill < 3 else 300)
+            break
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+    assert process.returncode == 0
+    assert what_was_found(TINY, out) == what_was_found(TINY, finished)
+
+
+@pytest.mark.slow
+def test_an_interrupt_stops_the_workers_too(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        command(tmp_path, out),
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    deadline = time.monotonic() + 60
+    while not folder_of(policy(0), out).exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    process.wait(60)
+    assert process.returncode != 0
+    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=False).stdout
+    assert str(tmp_path) not in running
+    open_results(out)  # what it leaves is whole

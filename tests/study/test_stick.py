@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.physics.simulate import ASSETS
+from planspace.study.stick import FRAMES, stick_film
+from planspace.tasks import TASKS
+
+
+def episode(task_name: str, states: np.ndarray) -> Demos:
+    task = TASKS[task_name]
+    model, space = task.compile()
+    mjcf = (ASSETS / task.model).read_text()
+    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf)
+    times = 0.04 * np.arange(len(states))
+    controls = np.zeros((len(states) - 1, model.nu))
+    return Demos.from_episodes(
+        info, [Episode(states, controls, times, np.full(space.size, np.nan), False, 0, 0)]
+    )
+
+
+def test_a_pole_stands_where_its_state_says() -> None:
+    states = np.zeros((3, 4))
+    states[:, 0] = [0.0, 0.5, 0.5]
+    states[:, 1] = [0.0, 0.0, np.pi / 2]  # upright; upright and to the right; lying to the right
+    film = stick_film(episode("cartpole-swingup", states))
+    poses = np.array(film["poses"])
+    assert film["seconds"] == pytest.approx(0.04)
+    (pole,) = [i for i in range(poses.shape[1]) if abs(poses[0, i, 3] - poses[0, i, 1]) > 400]
+    length = [np.hypot(*(pose[pole, 2:] - pose[pole, :2])) for pose in poses]
+    assert length == pytest.approx([600] * 3, abs=3)  # [mm]
+    upright, moved, lying = poses[:, pole]
+    assert abs(upright[0] - upright[2]) <= 1
+    np.testing.assert_allclose(moved - upright, [500, 0, 500, 0], atol=2)
+    assert abs(lying[1] - lying[3]) <= 1
+    assert max(lying[0], lying[2]) == pytest.approx(1100, abs=3)
+
+
+def test_a_long_episode_has_so_many_poses_and_the_plane_the_robot_moves_in() -> None:
+    states = np.zeros((500, 4))
+    states[:, 0] = np.linspace(0.0, 3.0, 500)
+    film = stick_film(episode("reacher-raw", states))
+    poses = np.array(film["poses"])
+    assert len(poses) == FRAMES
+    assert film["seconds"] * (FRAMES - 1) == pytest.approx(0.04 * 499, rel=1e-3)
+    tip = np.hypot(poses[..., 2], poses[..., 3]).max()
+    assert tip == pytest.approx(210, abs=12)  # the arm lies in the plane that is drawn

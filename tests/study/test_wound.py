@@ -1,0 +1,48 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import load_demos
+from planspace.errors import PlanspaceError
+from planspace.physics.simulate import replay
+from planspace.plan.problem_file import load_problem
+from planspace.study.wound import MAX_STEPS, distance_of_2020, wound_plans
+
+GOAL = np.zeros(4)
+
+
+@pytest.mark.parametrize(
+    ("theta", "expected"),
+    [(1.0, 1.0), (np.pi, np.pi), (2 * np.pi - 1, 1.0), (2 * np.pi, 0.0), (2 * np.pi + 3, -3.0), (-9.0, None)],
+)
+def test_beyond_a_turn_the_distance_of_2020_is_negative(theta: float, expected: float | None) -> None:
+    expected = 2 * np.pi - 9.0 if expected is None else expected
+    assert distance_of_2020(np.array([0.0, theta, 0.0, 0.0]), GOAL) == pytest.approx(expected)
+    # the others count as they are: 0.5 + 2 + 1
+    moving = np.array([0.5, theta, -2.0, 1.0])
+    assert distance_of_2020(moving, GOAL) == pytest.approx(expected + 3.5)
+
+
+def test_such_plans_are_wound_up_and_near_by_that_measure_alone(tmp_path: Path) -> None:
+    problem = load_problem("cartpole-swingup")
+    wound_plans(problem, tmp_path / "demos", 3, seed=0)
+    demos = load_demos(tmp_path / "demos")
+    model, space = demos.info.compile()
+    assert np.abs(demos.controls).max() <= 1.0 and not demos.success.any()
+    for i in range(3):
+        episode = demos.episode(i)
+        assert distance_of_2020(episode.states[-1], GOAL) <= problem.tolerance
+        assert (np.abs(episode.states[:-1, 1]) < np.abs(episode.states[-1, 1]) + 1.0).all()
+        assert abs(episode.states[-1, 1]) > 2 * np.pi
+        assert space.distance(episode.states[-1:], episode.goal[None])[0] > 1.0  # the goal it never saw
+        assert 20 < len(episode.controls) <= MAX_STEPS + 10
+        again = replay(model, space, episode.states[0], episode.controls, episode.times)
+        np.testing.assert_allclose(again, episode.states, atol=1e-9)
+    wound_plans(problem, tmp_path / "demos", 3, seed=0)  # nothing left to do
+    assert load_demos(tmp_path / "demos").hash == demos.hash
+
+
+def test_only_the_swing_up_can_be_wound_up(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="poles are wound up in cartpole-swingup alone, not in reacher"):
+        wound_plans(load_problem("reacher"), tmp_path / "demos", 1, seed=0)
