@@ -195,6 +195,7 @@ def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
 
 
 SCRIPT = """
+import signal
 import sys
 from pathlib import Path
 sys.path.insert(0, {root!r})
@@ -202,6 +203,7 @@ from planspace.study.run import run_study
 from tests.study.test_run import TINY
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     run_study(TINY, Path({out!r}), workers=2)
 """
 
@@ -230,11 +232,7 @@ def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tm
 @pytest.mark.slow
 def test_an_interrupt_stops_the_workers_too(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        command(tmp_path, out),
-        stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while not folder_of(policy(0), out).exists() and time.monotonic() < deadline:
         time.sleep(0.1)
