@@ -599,6 +599,9 @@ class Study:
     """Policies an arm, in blocks of 5. A larger number adds to those that were run."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
     """Only arms whose name (figure/arm) contains this, such as 'swingup, TRPO'; may be given again."""
+    ray: Annotated[str, arg(metavar="HOST:PORT", help_behavior_hint="(default: this machine)")] = ""
+    """A Ray cluster to run the units on (extra `ray`); results come back here. --workers limits how many run
+    at a time; 0 takes all of its cores."""
     report: bool = False
     """Run nothing; write the report of what is there."""
 
@@ -606,7 +609,7 @@ class Study:
         """Runs what is left of it, writes the report and prints the tables."""
         from planspace.study.grid import STUDIES, make_study
         from planspace.study.report import write_report
-        from planspace.study.run import failures, run_study
+        from planspace.study.run import failures
         from planspace.study.summary import as_text, read_findings
 
         if not self.name:
@@ -614,12 +617,21 @@ class Study:
         if self.workers < 0:
             raise UsageError("--workers must not be negative.")
         study = make_study(self.name, self.budget, seeds=self.seeds).only(self.only)
-        failed = {} if self.report else run_study(study, self.out, self.workers)
+        failed = {} if self.report else self._run(study)
         summary, page = write_report(read_findings(study, self.out), self.out)
         print(f"{as_text(summary)}\n\nreport           {page}")
         if failed:
             lines = " ".join(failures(failed, study))
             raise PartialResult(f"{len(failed)} units failed; the rest is done. {lines}")
+
+    def _run(self, study: Any) -> dict[str, str]:
+        from planspace.study.run import run_study
+
+        if not self.ray:
+            return run_study(study, self.out, self.workers)
+        from planspace.study.cluster import MOST, ray_pool
+
+        return run_study(study, self.out, self.workers or MOST, ray_pool(self.ray))
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,16 @@ def count_cores() -> int:
     return len(available_cores())
 
 
+ONE_THREAD: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1")
+"""Environment of a process whose linear algebra is to take one thread: NumPy's, and XLA's (NPROC), whose
+results otherwise depend in their last bits on how many cores there are."""
+
+
 @contextmanager
 def one_thread_each() -> Iterator[None]:
     """Processes started meanwhile do linear algebra on one thread: there are as many of them as cores."""
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
     try:
         yield
     finally:

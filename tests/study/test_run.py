@@ -16,6 +16,7 @@ from planspace.rl.config import TrainConfig
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import folder_of, is_done, read_result
+from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
 from planspace.study.summary import as_text, read_findings, summarise
@@ -85,6 +86,13 @@ def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> 
     assert is_done(policy(2, z=True), copied)
 
 
+def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path: Path) -> None:
+    alone = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
+    run_study(alone, tmp_path / "out", workers=1)  # on all the cores there are; before, on one of them
+    expected = read_result(policy(0), finished)["found"]
+    assert read_result(policy(0), tmp_path / "out")["found"] == expected
+
+
 def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:
     more = replace(TINY, arms=(replace(RAW, units=(*RAW.units, policy(2))),))
     assert units_to_run(more, copied) == [policy(2)]
@@ -111,36 +119,36 @@ def test_a_unit_that_fails_is_tried_twice_and_listed_and_the_rest_goes_on(
     assert not is_done(bad, copied)
 
 
-def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[Unit] = []
-    start = module._start
+class DeadlyPool(LocalPool):
+    """Kills the first workers that are started."""
 
-    def start_and_kill(unit: Unit, out: Path, slot: int, workers: int) -> module._Worker:
-        worker = start(unit, out, slot, workers)
-        if not started:
-            worker.process.kill()
-        started.append(unit)
-        return worker
+    def __init__(self, out: Path, size: int, kills: int):
+        super().__init__(out, size)
+        self.kills, self.started = kills, []
 
-    monkeypatch.setattr(module, "_start", start_and_kill)
-    study = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
-    assert run_study(study, tmp_path / "out", workers=1) == {}
-    assert started == [policy(0), policy(0)]
+    def start(self, unit: Unit) -> None:
+        super().start(unit)
+        self.started.append(unit)
+        if len(self.started) <= self.kills:
+            self._workers[-1].process.kill()
 
 
-def test_a_killed_worker_is_named_so_when_it_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    start = module._start
+ONE = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
 
-    def start_and_kill(unit: Unit, out: Path, slot: int, workers: int) -> module._Worker:
-        worker = start(unit, out, slot, workers)
-        worker.process.kill()
-        return worker
 
-    monkeypatch.setattr(module, "_start", start_and_kill)
-    study = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
-    failed = run_study(study, tmp_path / "out", workers=1)
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
+    pools: list[DeadlyPool] = []
+
+    def make_pool(out: Path, size: int) -> DeadlyPool:
+        pools.append(DeadlyPool(out, size, kills=1))
+        return pools[0]
+
+    assert run_study(ONE, tmp_path / "out", workers=1, make_pool=make_pool) == {}
+    assert pools[0].started == [policy(0), policy(0)]
+
+
+def test_a_killed_worker_is_named_so_when_it_is_given_up(tmp_path: Path) -> None:
+    failed = run_study(ONE, tmp_path / "out", 1, lambda out, size: DeadlyPool(out, size, kills=2))
     assert failed == {policy(0).name: "its process was killed by SIGKILL"}
 
 

@@ -177,7 +177,7 @@ class Builder:
 
 def _closure(units: Iterable[Unit]) -> Iterator[Unit]:
     for unit in units:
-        yield from _closure(unit.needs)  # pyright: ignore[reportArgumentType]
+        yield from _closure(unit.needs)
         yield unit
 
 

@@ -54,7 +54,7 @@ class PlansUnit(_Unit):
     seed: int = 0
 
     @property
-    def needs(self) -> tuple[_Unit, ...]:
+    def needs(self) -> tuple["Unit", ...]:
         """Units whose folders it reads."""
         return ()
 
@@ -79,7 +79,7 @@ class FitUnit(_Unit):
     """The first."""
 
     @property
-    def needs(self) -> tuple[_Unit, ...]:
+    def needs(self) -> tuple["Unit", ...]:
         """Units whose folders it reads."""
         return (self.plans,)
 
@@ -100,7 +100,7 @@ class PolicyUnit(_Unit):
     """What makes z; seed s takes number s modulo how many there are."""
 
     @property
-    def needs(self) -> tuple[_Unit, ...]:
+    def needs(self) -> tuple["Unit", ...]:
         """Units whose folders it reads."""
         return self.fits
 

@@ -1,0 +1,143 @@
+"""Worker processes on this machine: each runs one unit, on cores of its own, and is replaced if it dies."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from planspace.cores import available_cores, one_thread_each
+from planspace.errors import PlanspaceError
+from planspace.store import read_json, write_json
+from planspace.study.execute import execute
+from planspace.study.unit import Unit
+
+REFRESH_S = 1.0
+"""How long a pool waits for something to happen."""
+PATIENCE_S, REMIND_S = 30.0, 5.0
+"""So long do workers have to save what they are at when they are told to stop, and so often are they told."""
+INTERRUPTED = 130
+
+
+@runtime_checkable
+class Pool(Protocol):
+    """Where units are run."""
+
+    @property
+    def size(self) -> int:
+        """How many it runs at a time."""
+        ...
+
+    def start(self, unit: Unit) -> None:
+        """Begins a unit; what it needs is done."""
+        ...
+
+    def wait(self) -> Sequence[tuple[Unit, str | None]]:
+        """Waits a little for units to end; gives those that have, with what was wrong with each."""
+        ...
+
+    def stop(self) -> None:
+        """Ends what is under way, saved as far as it has come."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Worker:
+    unit: Unit
+    process: SpawnProcess
+    slot: int
+
+
+class LocalPool:
+    """Processes that share out this machine's cores."""
+
+    def __init__(self, out: Path, size: int):
+        """A pool of so many workers for a folder of studies."""
+        self.size, self._out = size, out
+        self._free = list(range(size))
+        self._workers: list[_Worker] = []
+
+    def start(self, unit: Unit) -> None:
+        """Begins a unit in a process of its own."""
+        context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
+        slot = self._free.pop()
+        process = context.Process(target=_work, args=(unit, self._out, slot, self.size), name=unit.name)
+        with one_thread_each():
+            process.start()
+        self._workers.append(_Worker(unit, process, slot))
+
+    def wait(self) -> Sequence[tuple[Unit, str | None]]:
+        """The units that have ended, after a second at most."""
+        wait([worker.process.sentinel for worker in self._workers], timeout=REFRESH_S)
+        ended = [worker for worker in self._workers if not worker.process.is_alive()]
+        for worker in ended:
+            self._workers.remove(worker)
+            self._free.append(worker.slot)
+        return [(worker.unit, self._error(worker)) for worker in ended]
+
+    def stop(self) -> None:
+        """Tells the workers to save and end."""
+        deadline = time.monotonic() + PATIENCE_S
+        while alive := [worker.process for worker in self._workers if worker.process.is_alive()]:
+            for process in alive:  # more than once: an interrupt can be lost in a callback of the interpreter
+                process.terminate() if time.monotonic() < deadline else process.kill()
+            wait([process.sentinel for process in alive], timeout=REMIND_S)
+
+    def _error(self, worker: _Worker) -> str | None:
+        code = worker.process.exitcode or 0
+        if code == 0:
+            return None
+        if code < 0:
+            return f"its process was killed by {signal.Signals(-code).name}"
+        file = _error_file(worker.unit, self._out)
+        return str(read_json(file)["error"]) if file.exists() else f"its process ended with {code}"
+
+
+def _error_file(unit: Unit, out: Path) -> Path:
+    return out / "work" / f"{unit.name}.error.json"
+
+
+def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
+    """A worker's life: one unit."""
+    os.setpgid(0, 0)  # Ctrl-C is the parent's to hear, who then says so
+    signal.signal(signal.SIGTERM, _interrupt)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    cores = available_cores()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, cores[slot::workers] or cores)
+    with open(out / "work" / f"{unit.name}.log", "a", buffering=1) as log, contextlib.redirect_stderr(log):
+        try:
+            execute(unit, out)
+        except KeyboardInterrupt:
+            sys.exit(INTERRUPTED)
+        except Exception as error:
+            traceback.print_exc()
+            with contextlib.suppress(PlanspaceError):  # the disk may be what is wrong
+                write_json(_error_file(unit, out), {"error": named(error)})
+            sys.exit(1)
+
+
+def named(error: Exception) -> str:
+    """An error in one line, with its kind where it is not one of ours."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, PlanspaceError) else f"{type(error).__name__}: {text}"
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _die_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(INTERRUPTED)
