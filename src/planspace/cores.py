@@ -17,7 +17,9 @@ def count_cores() -> int:
     return len(available_cores())
 
 
-ONE_THREAD: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1")
+ONE_THREAD: dict[str, str] = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1"
+)
 """Environment of a process whose linear algebra is to take one thread: NumPy's, and XLA's (NPROC), whose
 results otherwise depend in their last bits on how many cores there are."""
 

@@ -184,7 +184,7 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
     assert rows["raw"]["seeds"] == 2 and rows["raw"]["improvement"] is None
     assert rows["raw"]["worst"] <= rows["raw"]["mean"] <= rows["raw"]["best"]
     assert summary["claims"][0]["verdict"] == "cannot tell"  # two seeds
-    assert summary["embeddings"][0]["demos"] == 12
+    assert summary["embeddings"][0]["demos"] == 12 and summary["over_tasks"] == []  # one task
     assert summary["time"]["timed_units"] == 6
     assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
 

@@ -65,7 +65,9 @@ def smoothed(
 
 def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Figure:
     """Learning curves of several arms."""
-    figure = matplotlib.figure.Figure(figsize=(7, 4.3), layout="constrained")
+    figure = matplotlib.figure.Figure(
+        figsize=(7 if len(curves) <= MAX_BANDS else 9.5, 4.3), layout="constrained"
+    )
     axes = figure.subplots()
     for i, (label, curve) in enumerate(curves.items()):
         steps, colour = curve.steps / 1e6, COLOURS[i % len(COLOURS)]
@@ -78,5 +80,8 @@ def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Fi
     axes.set_ylabel(f"return of an episode, mean of {SMOOTHING} iterations")
     axes.set_title(title, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize="medium" if len(curves) <= MAX_BANDS else "x-small")
+    if len(curves) <= MAX_BANDS:
+        axes.legend(frameon=False)
+    else:
+        figure.legend(frameon=False, fontsize="small", loc="outside right upper")
     return figure

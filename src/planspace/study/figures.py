@@ -13,7 +13,7 @@ from planspace.demos.plot import COLOURMAP, time_left_scale
 from planspace.embed.embedding import Embedding
 from planspace.embed.plot import principal
 from planspace.figure import COLOURS
-from planspace.rl.curves import MAX_BANDS, Curve
+from planspace.rl.curves import MAX_BANDS, STYLES, Curve
 
 Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the share of seeds that reached more than each."""
@@ -73,24 +73,29 @@ def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
 
 def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.figure.Figure:
     """Performance profiles of several arms: the share of seeds that reached more than each return."""
-    figure = matplotlib.figure.Figure(figsize=(7, 4.3), layout="constrained")
+    figure = matplotlib.figure.Figure(figsize=(9.5, 4.3), layout="constrained")
     axes = figure.subplots()
-    for colour, (label, (returns, shares)) in zip(itertools.cycle(COLOURS), profiles.items(), strict=False):
-        axes.step(returns, shares, where="post", color=colour, linewidth=2, label=label)
+    for i, (label, (returns, shares)) in enumerate(profiles.items()):
+        again, colour = divmod(i, len(COLOURS))
+        style = STYLES[again % len(STYLES)]
+        axes.plot(
+            returns, shares, drawstyle="steps-post", color=COLOURS[colour], linestyle=style, label=label
+        )
     axes.set_xlabel("return")
     axes.set_ylabel("share of seeds that reached more")
     axes.set_ylim(-0.02, 1.02)
     axes.set_title(title, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize="small")
+    figure.legend(frameon=False, fontsize="small", loc="outside right upper")
     return figure
 
 
 def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
     """The same, to hover over."""
     figure = go.Figure()
-    for colour, (label, (returns, shares)) in zip(itertools.cycle(COLOURS), profiles.items(), strict=False):
-        line = {"color": colour, "width": 2, "shape": "hv"}
+    for i, (label, (returns, shares)) in enumerate(profiles.items()):
+        again, colour = divmod(i, len(COLOURS))
+        line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[again % len(DASHES)]}
         figure.add_scatter(x=returns, y=shares, name=label, mode="lines", line=line)
     figure.update_layout(
         xaxis_title="return", yaxis_title="share of seeds that reached more", **plain_layout()

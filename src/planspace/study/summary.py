@@ -17,6 +17,14 @@ from planspace.study.execute import is_done, read_result
 from planspace.study.stats import Scores, Verdict
 from planspace.study.unit import FitUnit, PlansUnit, Unit
 
+LEVELS = {
+    "cartpole": (0.0, 100.0),
+    "cartpole-swingup": (-600.0, 100.0),
+    "reacher-trig": (-14.0, -6.0),
+    "reacher-raw": (-14.0, -6.0),
+}
+"""Returns that count as 0 and as 1 where tasks are put together: the paper's levels of doing nothing and of
+having solved it."""
 SOLVED = {"cartpole": 95.0, "cartpole-swingup": 0.0, "reacher-trig": -6.0, "reacher-raw": -6.0}
 """A seed has solved its task when it reached more than this: the paper's levels, and on the swing-up a pole
 that stands."""
@@ -67,8 +75,8 @@ def summarise(findings: Findings) -> dict[str, Any]:
     """The tables of a study.
 
     Returns:
-        `panels`: for each figure its rows, of which the first is what the others are compared with; `claims`;
-        `embeddings`; `plans`; and `time`.
+        `panels`: for each figure its rows, of which the first is what the others are compared with;
+        `over_tasks`: what each arm reached on all its tasks; `claims`; `embeddings`; `plans`; and `time`.
     """
     study = findings.study
     return {
@@ -79,6 +87,7 @@ def summarise(findings: Findings) -> dict[str, Any]:
         "panels": {
             panel: [_row(findings, arm, arms[0]) for arm in arms] for panel, arms in findings.panels().items()
         },
+        "over_tasks": _over_tasks(findings),
         "claims": [_claim(findings, i) for i in range(len(study.claims))],
         "embeddings": [
             {"name": name, **_embedding(findings, unit)} for name, unit in named_fits(findings).items()
@@ -130,6 +139,25 @@ def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
         "steps_to_solved": _median_steps(scores, solved),
         "components": stats.variance_components(scores, x),
     }
+
+
+def _over_tasks(findings: Findings) -> list[dict[str, Any]]:
+    """The interquartile mean of each arm that was run on several tasks, over tasks and seeds."""
+    found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+    for arm in findings.study.arms:
+        config = arm.units[0].config
+        if arm.name in findings.scores and config.reward == "dense":
+            low, high = LEVELS[config.task]
+            normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
+            found.setdefault((config.algo.upper(), arm.label), {})[arm.panel] = normalised
+    rows = []
+    for (algo, label), samples in found.items():
+        if len(samples) > 1:
+            number, interval = stats.iqm_over_tasks(list(samples.values()))
+            rows.append(
+                {"algo": algo, "arm": label, "tasks": len(samples), "iqm": number, "iqm_interval": interval}
+            )
+    return rows
 
 
 def _ratio(scores: Scores, base: Scores) -> tuple[float, stats.Interval] | None:
