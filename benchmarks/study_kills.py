@@ -17,6 +17,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+SPAN = (0.1, 1.5)
+"""Kills come after this share of what would spread them over an undisturbed run."""
 MEASURED = ("seconds", "resumed", "checksum")
 """What a result says of the clock, and the seal over it."""
 
@@ -63,7 +65,7 @@ def main() -> None:
     undisturbed = time.monotonic() - began
     rng, kills, moments, worked = random.Random(0), 0, [], 0.0
     while True:
-        limit = rng.uniform(2.0, 0.3 * undisturbed) if kills < options.kills else None
+        limit = rng.uniform(*SPAN) * undisturbed / options.kills if kills < options.kills else None
         began = time.monotonic()
         ended = run(command(options.study, killed), limit)
         worked += time.monotonic() - began

@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from planspace.embed.config import PRESETS
@@ -19,7 +20,8 @@ from planspace.study.execute import folder_of, is_done, read_result
 from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
-from planspace.study.summary import as_text, read_findings, summarise
+from planspace.study.stats import Scores
+from planspace.study.summary import Findings, as_text, read_findings, summarise
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
@@ -187,6 +189,22 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
     assert summary["embeddings"][0]["demos"] == 12 and summary["over_tasks"] == []  # one task
     assert summary["time"]["timed_units"] == 6
     assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
+
+
+def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
+    arms = [
+        Arm(f"{task}, TRPO", "raw", (PolicyUnit(replace(BASE, task=task)),))
+        for task in ("cartpole", "cartpole-swingup")
+    ]
+    study = replace(TINY, arms=tuple(arms), claims=())
+    reached = {arms[0].name: [50.0] * 5, arms[1].name: [-250.0] * 5}  # half way, each: 50 of 100, 350 of 700
+    steps = np.array([400_000])
+    scores = {
+        name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0, 0) for name, values in reached.items()
+    }
+    (row,) = summarise(Findings(study, {}, scores))["over_tasks"]
+    assert (row["algo"], row["arm"], row["tasks"]) == ("TRPO", "raw", 2)
+    assert row["iqm"] == 0.5 and row["iqm_interval"] == (0.5, 0.5)
 
 
 def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
