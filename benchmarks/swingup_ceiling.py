@@ -3,8 +3,8 @@
     python benchmarks/swingup_ceiling.py [RUN ...]
 
 From each of the 20 starts: a planned swing-up (SST, polished, the goal then held by the regulator; its
-control changes at every physics step, which a policy's cannot), and every policy of the runs given (folders of
-`planspace train`, or `DIR/work/policies-*` of a study). Prints the mean return of the planner, of the best
+control changes at every physics step, which a policy's cannot), and every policy of the runs given (folders
+of `planspace train`, or `DIR/work/policies-*` of a study). Prints the mean return of the planner, of the best
 policy, and of the best of all at each start: the ceiling.
 """
 

@@ -11,8 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planspace.demos.dataset import load_demos
 from planspace.embed.config import PRESETS
 from planspace.errors import PlanspaceError
+from planspace.plan.generate import generate
+from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim, Study
@@ -27,6 +31,9 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
 FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
 BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
+
+
+PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
 
 def policy(seed: int, z: bool = False) -> PolicyUnit:
@@ -86,6 +93,19 @@ def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> 
     assert run_study(more, copied, workers=1) == {}
     assert {unit.name: read_result(unit, copied)["found"] for unit in (PLANS, FIT)} == before
     assert is_done(policy(2, z=True), copied)
+
+
+def test_a_folder_that_was_begun_again_is_not_taken_for_whole(copied: Path) -> None:
+    shutil.rmtree(copied / "work")
+    more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
+    half = replace(PLANS, num=10)  # of the twelve, as a kill leaves them
+    generate(load_problem(PLANS.problem), folder_of(PLANS, copied), num=half.num, seed=0, config=PLANNER)
+    assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
+    run_study(more, copied, workers=1)
+    assert len(load_demos(folder_of(PLANS, copied))) == 12
+    assert units_to_run(replace(more, arms=(replace(WITH_Z, units=(policy(3, z=True),)),)), copied) == [
+        policy(3, z=True)
+    ]
 
 
 def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ import planspace
 from planspace.cores import ONE_THREAD
 from planspace.errors import PlanspaceError, UsageError
 from planspace.store import locked, make_folder, read_bytes, write_bytes
-from planspace.study.execute import execute, folder_of, result_file
+from planspace.study.execute import execute, folder_of, is_done, mark_whole, result_file
 from planspace.study.pool import REFRESH_S, named
 from planspace.study.unit import Unit
 
@@ -91,9 +91,12 @@ class RayPool:
         except Exception as error:  # whatever went wrong there is that unit's error here
             cause = getattr(error, "cause", None)
             return unit, named(cause if isinstance(cause, Exception) else error)
+        rmtree(folder_of(unit, self._out), ignore_errors=True)  # what was begun here
         lay_down(folder_of(unit, self._out), files)
         make_folder(result_file(unit, self._out).parent)
-        write_bytes(result_file(unit, self._out), result)
+        if not is_done(unit, self._out):
+            write_bytes(result_file(unit, self._out), result)
+        mark_whole(unit, self._out)
         return unit, None
 
 

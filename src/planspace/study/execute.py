@@ -4,7 +4,7 @@
     DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and seconds
 
 A unit whose result is there is done, on whatever machine. Its folder is made again only if another unit that
-is not done reads it.
+is not done reads it; its result stays what it was.
 """
 
 import time
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import MANIFEST, Demos, load_demos
+from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.curves import read_log
-from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
+from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit
 from planspace.embed.plot import principal
 from planspace.errors import PartialResult
@@ -27,7 +27,7 @@ from planspace.plan.problem_file import load_problem
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
-from planspace.store import make_folder, read_described, write_sealed
+from planspace.store import make_folder, read_described, write_bytes, write_sealed
 from planspace.study.stick import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 from planspace.study.wound import wound_plans
@@ -58,11 +58,17 @@ def is_done(unit: Unit, out: Path) -> bool:
 
 
 def has_folder(unit: Unit, out: Path) -> bool:
-    """Whether what others read of it is there: of policies nothing."""
-    folder = folder_of(unit, out)
-    if isinstance(unit, PlansUnit):
-        return is_done(unit, out) and (folder / MANIFEST).exists()
-    return isinstance(unit, PolicyUnit) or (folder / DESCRIPTION).exists()
+    """Whether its folder is there, whole; one that was begun and not ended is not."""
+    return _whole(unit, out).exists() and folder_of(unit, out).exists()
+
+
+def mark_whole(unit: Unit, out: Path) -> None:
+    """Says that a unit's folder is there, whole."""
+    write_bytes(_whole(unit, out), b"")
+
+
+def _whole(unit: Unit, out: Path) -> Path:
+    return out / "work" / f"{unit.name}.whole"
 
 
 def read_result(unit: Unit, out: Path) -> dict[str, Any]:
@@ -90,9 +96,11 @@ def execute(unit: Unit, out: Path) -> None:
     make_folder(folder.parent)
     found = _RUN[unit.kind](unit, folder, out)
     seconds = {"seconds": round(time.monotonic() - began, 1), "resumed": resumed}
-    make_folder(result_file(unit, out).parent)
-    head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
-    write_sealed(result_file(unit, out), {**head, "found": found, **seconds}, indent=None)
+    if not is_done(unit, out):  # its folder alone was missing: what policies were made with is kept
+        make_folder(result_file(unit, out).parent)
+        head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
+        write_sealed(result_file(unit, out), {**head, "found": found, **seconds}, indent=None)
+    mark_whole(unit, out)
 
 
 def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:

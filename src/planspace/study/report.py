@@ -109,8 +109,12 @@ def _profiles(findings: Findings, arms: list[Arm]) -> dict[str, Profile]:
 def _film(findings: Findings, arm: Arm) -> dict[str, Any]:
     """The best seed's episode of the block that ended best."""
     found = [findings.found(unit) for unit in arm.units if unit.name in findings.results]
-    best = max(found, key=lambda result: max(x or -np.inf for x in result["eval_returns"][-1]))
+    best = max(found, key=lambda result: max(_number(x) for x in result["eval_returns"][-1]))
     return {"label": arm.label, **best["film"]}
+
+
+def _number(x: float | None) -> float:
+    return -np.inf if x is None else x  # it was not finite
 
 
 def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:

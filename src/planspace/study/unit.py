@@ -1,7 +1,8 @@
 """The units a study is made of: demonstrations, embeddings, and policies of a few seeds.
 
 A unit is plain data. Its name is the hash of all that it depends on, so the same unit of two studies is one,
-and is run once.
+and is run once. What tasks, problems and defaults are is part of planspace's version, and a folder of results
+takes one version alone.
 """
 
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
