@@ -616,13 +616,15 @@ class Study:
             raise UsageError(f"which study? There are {', '.join(STUDIES)}.")
         if self.workers < 0:
             raise UsageError("--workers must not be negative.")
-        study = make_study(self.name, self.budget, seeds=self.seeds).only(self.only)
-        failed = {} if self.report else self._run(study)
-        summary, page = write_report(read_findings(study, self.out), self.out)
-        print(f"{as_text(summary)}\n\nreport           {page}")
+        study = make_study(self.name, self.budget, seeds=self.seeds)
+        failed = {} if self.report else self._run(study.only(self.only))
+        text = "".join(f" {line}." for line in failures(failed, study))
+        findings = read_findings(study, self.out)
+        if findings.scores or not failed:
+            summary, page = write_report(findings, self.out)
+            print(f"{as_text(summary)}\n\nreport           {page}")
         if failed:
-            lines = " ".join(failures(failed, study))
-            raise PartialResult(f"{len(failed)} units failed; the rest is done. {lines}")
+            raise PartialResult(f"{len(failed)} units failed; what else there is is done.{text}")
 
     def _run(self, study: Any) -> dict[str, str]:
         from planspace.study.run import run_study

@@ -33,7 +33,7 @@ def test_the_way_from_a_mean_start_to_the_goal_is_worth_the_scale(embedding: Emb
     goal = np.zeros((1000, 4))
     for form in ("z", "raw"):
         config = replace(CONFIG, shaping=form, num_seeds=1).learning(discount=1.0)
-        paid = shaping_of(config, embedding)(starts, goal, np.zeros(1000, dtype=bool))
+        paid = shaping_of(config, embedding)(starts, goal, *np.zeros((2, 1000), dtype=bool))
         assert paid.mean() == pytest.approx(7.0)
 
 
@@ -41,20 +41,27 @@ def test_what_an_episode_is_paid_telescopes(embedding: Embedding, rng: np.random
     shape = shaping_of(ALONE, embedding)
     gamma = CONFIG.learns.discount
     states = rng.normal(size=(11, 1, 4))
-    paid = [shape(a, b, RUNNING)[0] for a, b in itertools.pairwise(states)]
+    paid = [shape(a, b, RUNNING, RUNNING)[0] for a, b in itertools.pairwise(states)]
     summed = sum(gamma**t * x for t, x in enumerate(paid))
     # gamma^10 Phi(x_10) - Phi(x_0), whatever lies between: from and to the goal, whose potential is 0
     goal = np.zeros((1, 4))
-    last, first = shape(goal, states[-1], RUNNING)[0] / gamma, shape(goal, states[0], RUNNING)[0] / gamma
+    last, first = (
+        shape(goal, states[-1], RUNNING, RUNNING)[0] / gamma,
+        shape(goal, states[0], RUNNING, RUNNING)[0] / gamma,
+    )
     assert summed == pytest.approx(gamma**10 * last - first)
-    ended = shape(states[0], states[1], ~RUNNING)[0]
+    ended = shape(states[0], states[1], ~RUNNING, RUNNING)[0]
     assert ended == pytest.approx(-first)  # an episode that terminates ends at potential 0
+    limit = shape(states[0], states[1], RUNNING, ~RUNNING)[0]
+    assert limit == ended  # where nothing counts beyond the time limit
+    modern = shaping_of(replace(ALONE, preset="modern"), embedding)
+    assert modern(states[0], states[1], RUNNING, ~RUNNING)[0] == pytest.approx(paid[0])
 
 
 def test_raw_distance_takes_angles_the_short_way_round() -> None:
     shape = shaping_of(replace(ALONE, shaping="raw"))
     near, turned = np.zeros((1, 4)), np.array([[0.0, 2 * np.pi, 0.0, 0.0]])
-    assert shape(near, turned, RUNNING)[0] == pytest.approx(0.0)
+    assert shape(near, turned, RUNNING, RUNNING)[0] == pytest.approx(0.0)
 
 
 def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: Path) -> None:
@@ -72,7 +79,7 @@ def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: P
     before = info["state"]
     for _ in range(5):
         *_, info = env.step(env.action_space.sample())
-        expected = shape(before[None], info["state"][None], RUNNING)[0]
+        expected = shape(before[None], info["state"][None], RUNNING, RUNNING)[0]
         assert info["shaping"] == pytest.approx(expected, abs=1e-6)
         before = info["state"]
 
@@ -80,13 +87,13 @@ def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: P
 def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
     other = replace(embedding, encoder=([-w for w in embedding.encoder[0]], embedding.encoder[1]))
     states = np.random.default_rng(0).normal(size=(2, 40, 4))
-    ended = np.zeros(40, dtype=bool)
-    both = shaping_of(CONFIG, embedding, other)(*states, ended)
-    shared = shaping_of(CONFIG, embedding)(*states, ended)
+    ended = np.zeros((2, 40), dtype=bool)
+    both = shaping_of(CONFIG, embedding, other)(*states, *ended)
+    shared = shaping_of(CONFIG, embedding)(*states, *ended)
     halves = states[:, :20], states[:, 20:]
     one = replace(CONFIG, num_seeds=1)
-    first = shaping_of(one, embedding)(*halves[0], ended[:20])
-    second = [shaping_of(one, e)(*halves[1], ended[20:]) for e in (embedding, other)]
+    first = shaping_of(one, embedding)(*halves[0], *ended[:, :20])
+    second = [shaping_of(one, e)(*halves[1], *ended[:, 20:]) for e in (embedding, other)]
     np.testing.assert_array_equal(both, np.concatenate([first, second[1]]))  # bit for bit as alone
     np.testing.assert_array_equal(shared, np.concatenate([first, second[0]]))
     assert not np.allclose(*second, rtol=1e-2)

@@ -284,7 +284,7 @@ def test_an_evaluation_is_deterministic_and_the_same_for_every_seed() -> None:
     observer = Observer(TASKS["cartpole-swingup"], "raw", "none", "both", num_seeds=2)
     batch = TaskBatch(observer.task, 2 * 20)
     with ThreadPoolExecutor(1) as threads:
-        arm = module._Arm(SWING_UP, observer, None, batch, threads)
+        arm = module._Arm(SWING_UP, observer, batch, threads)
         state = module._init(arm)
         wild = eqx.tree_at(lambda x: x.policy.log_std, state.learners[0], jnp.full(1, 2.0))
         state = state._replace(

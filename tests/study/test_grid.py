@@ -4,6 +4,7 @@ import pytest
 
 from planspace.embed.config import PRESETS
 from planspace.errors import UsageError
+from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.study.grid import BUDGETS, STUDIES, make_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
@@ -25,15 +26,13 @@ def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
     assert len({unit.name for unit in (POLICY, *others)}) == 1 + len(others)
 
 
-def test_a_preset_counts_by_what_it_says_and_defaults_are_left_out() -> None:
+def test_presets_and_problems_count_by_what_they_say() -> None:
     named = PolicyUnit(TrainConfig("cartpole", preset="modern"))
     spelled = PolicyUnit(TrainConfig("cartpole", preset="modern").learning())
     assert named.name == spelled.name
-    assert PolicyUnit(TrainConfig("cartpole")).spec == {
-        "kind": "policies",
-        "config": {"task": "cartpole", "learner": {}},
-    }
-    assert "critic" in named.spec["config"]["learner"]
+    assert named.spec["config"]["learner"]["critic"] == "mlp"
+    assert FIT.spec["config"]["objective"]["linearity"] == PRESETS["modern"].objective.linearity
+    assert FIT.spec["plans"]["problem_hash"] == load_problem("cartpole-swingup").hash
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -53,7 +52,7 @@ def test_studies_hold_together(name: str, budget: str) -> None:
         seen.add(unit.name)
     for arm in study.arms:
         seeds = [seed for unit in arm.units for seed in unit.config.seeds]
-        assert seeds == list(range(len(seeds)))
+        assert seeds == list(range(seeds[0], seeds[0] + len(seeds)))
         assert len({unit.config.steps for unit in arm.units}) == 1
 
 
@@ -97,12 +96,15 @@ def test_the_recipe_has_fifteen_policies_for_each_of_five_embeddings() -> None:
     assert arm.num_embeddings == 5
     seeds = [seed for unit in arm.units for seed in unit.config.seeds]
     assert [sum(seed % 5 == g for seed in seeds) for g in range(5)] == [15] * 5
+    used = {seed for name in ("paper", "controls", "demos") for a in make_study(name, "full").arms
+            for unit in a.units for seed in unit.config.seeds}  # fmt: skip
+    assert not {*used, *range(100, 106)} & set(seeds) and min(fit.seed for fit in arm.units[0].fits) == 10
 
 
 def test_some_arms_alone_keep_the_claims_about_them() -> None:
     study = make_study("paper", "half").only(["swingup, TRPO/raw", "swingup, TRPO/low-Z augment"])
     assert len(study.arms) == 2
-    assert len(study.claims) == 4
+    assert len(study.claims) == 4  # better, faster, as good at best, less varied
     with pytest.raises(
         UsageError, match=r"study paper has no arm like nothing\. Its arms: cartpole, TRPO/raw;"
     ):

@@ -79,7 +79,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (out / "units").mkdir()
     for unit in STUDY.units:
         head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
-        found = {"found": pretended(unit, rng), "seconds": 1.0, "resumed": False}
+        found = {"found": pretended(unit, rng), "seconds": 1.0, "cores": 1, "resumed": False}
         write_sealed(result_file(unit, out), {**head, **found})
     return write_report(read_findings(STUDY, out), out)[1]
 

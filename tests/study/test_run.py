@@ -18,9 +18,10 @@ from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
+from planspace.store import write_sealed
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim, Study
-from planspace.study.execute import folder_of, is_done, read_result
+from planspace.study.execute import folder_of, is_done, read_result, result_file
 from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
@@ -182,6 +183,28 @@ def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
     assert run_study(TINY, copied) == {}
 
 
+def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:
+    shutil.rmtree(copied / "work")
+    file = result_file(PLANS, copied)
+    result = read_result(PLANS, copied)
+    result["found"]["hash"] = "of another machine"
+    write_sealed(file, result)
+    more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
+    failed = run_study(more, copied, workers=1)
+    assert "was made again and is not what it was" in failed[PLANS.name]
+    assert not is_done(policy(2, z=True), copied)
+    assert read_result(PLANS, copied)["found"]["hash"] == "of another machine"
+
+
+def test_claims_wait_for_all_seeds(copied: Path) -> None:
+    seeds = tuple(policy(seed) for seed in range(6))
+    study = replace(TINY, arms=(replace(RAW, units=seeds), WITH_Z), claims=())
+    claim = Claim("near 100", "ours", "final", RAW.name, "", margin=1.0)
+    scores = Scores(tuple(range(5)), np.array([8000]), np.full((1, 5), 99.0), 0, 0)
+    found = summarise(Findings(replace(study, claims=(claim,)), {}, {RAW.name: scores}))["claims"][0]
+    assert found["verdict"] == "not finished" and found["number"] == 99.0
+
+
 def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
     config = json.loads((copied / "config.json").read_text())
     config["versions"]["planspace"] = "0.0.1"
@@ -282,9 +305,13 @@ def test_an_interrupt_stops_the_workers_too(tmp_path: Path) -> None:
     deadline = time.monotonic() + 60
     while not folder_of(policy(0), out).exists() and time.monotonic() < deadline:
         time.sleep(0.1)
+    children = [int(x) for x in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
+    assert children
     process.send_signal(signal.SIGINT)
     process.wait(60)
     assert process.returncode != 0
-    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=False).stdout
-    assert str(tmp_path) not in running
+    deadline = time.monotonic() + 10  # the one that watches over shared memory takes a moment
+    while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
     open_results(out)  # what it leaves is whole

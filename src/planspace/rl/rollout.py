@@ -78,7 +78,7 @@ def collect(
     num_steps: int,
     rngs: list[np.random.Generator],
     *,
-    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
+    shape: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
     noise: bool = True,
 ) -> Rollout:
     """Runs every environment for `num_steps`, from fresh episodes; when one ends, the next begins.
@@ -89,7 +89,7 @@ def collect(
         actor: one policy a seed.
         num_steps: steps of each environment.
         rngs: one stream a seed; a seed's starts and noise come from its own stream alone.
-        shape: (states before, states after, terminated) to what is paid beside the task's reward.
+        shape: (states before and after, terminated, at the time limit) to what is paid beside the reward.
         noise: whether actions are drawn, or are the policies' means.
     """
     task, num_seeds = batch.task, len(rngs)
@@ -117,13 +117,14 @@ def collect(
         actions = actor.mean(obs) + drawn[t]
         before = batch.states
         rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
-        if shape is not None:
-            record.shaping[t] = shape(before, batch.states, terminated).reshape(size[1:])
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
         record.rewards[t], record.terminated[t] = rewards.reshape(size[1:]), terminated.reshape(size[1:])
         since_start = since_start + 1
         record.timeout[t] = ~record.terminated[t] & (since_start >= task.horizon)
         record.cut[t] = diverged.reshape(size[1:])
+        if shape is not None:
+            paid = shape(before, batch.states, terminated, record.timeout[t].ravel())
+            record.shaping[t] = paid.reshape(size[1:])
         obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
         record.next_obs[t] = obs
         ended = record.terminated[t] | record.timeout[t] | record.cut[t]

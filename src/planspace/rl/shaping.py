@@ -33,6 +33,8 @@ class Shaping:
     """Whose environments follow one another; what a seed is paid does not depend on the others."""
     scale: float
     discount: float
+    beyond_timeout: bool
+    """Whether what lies beyond the time limit counts to the learner."""
 
     @classmethod
     def of(cls, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
@@ -60,19 +62,24 @@ class Shaping:
             distances = tuple(_distance_in_z(embedding, space.names, goal) for embedding in embeddings)
         else:
             raise UsageError("shaping by 'z' needs an embedding: give --embedding DIR.")
-        return cls(task, distances, config.num_seeds, config.shaping_scale, config.learns.discount)
+        learns = config.learns
+        worth = config.shaping_scale, learns.discount, learns.bootstrap_timeout
+        return cls(task, distances, config.num_seeds, *worth)
 
     def __call__(
         self,
         before: Float[np.ndarray, "env state"],
         after: Float[np.ndarray, "env state"],
         terminated: Bool[np.ndarray, " env"],
+        timeout: Bool[np.ndarray, " env"],
     ) -> Float[np.ndarray, " env"]:
         """What a step of every environment is paid, the environments of a seed one after another.
 
-        An episode that terminates ends at potential 0; one that is cut off keeps that of its last state.
+        An episode that terminates ends at potential 0; one that reaches the time limit too, where nothing
+        counts beyond it, and else keeps that of its last state.
         """
-        return np.where(terminated, 0.0, self.discount * self._potential(after)) - self._potential(before)
+        ended = terminated if self.beyond_timeout else terminated | timeout
+        return np.where(ended, 0.0, self.discount * self._potential(after)) - self._potential(before)
 
     def _potential(self, states: Float[np.ndarray, "env state"]) -> Float[np.ndarray, " env"]:
         by_seed = states.reshape(self.num_seeds, -1, states.shape[-1])

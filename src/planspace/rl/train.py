@@ -60,10 +60,10 @@ class _Arm:
 
     config: TrainConfig
     observer: Observer
-    shaping: Shaping | None
     batch: TaskBatch
     threads: ThreadPoolExecutor
     """The seeds learn side by side in these."""
+    shaping: Shaping | None = None
 
     @property
     def steps(self) -> int:
@@ -110,7 +110,7 @@ def train(
         return read_arrays(out / HISTORY)
     batch = TaskBatch(task, config.num_seeds * num_episodes(task), reward=config.reward)
     with ThreadPoolExecutor(min(count_cores(), config.num_seeds)) as threads:
-        arm = _Arm(config, observer, shaping, batch, threads)
+        arm = _Arm(config, observer, batch, threads, shaping)
         state, first = _init(arm), 0
         saved = load_checkpoint(out, state)
         if saved is not None:

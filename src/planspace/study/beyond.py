@@ -167,9 +167,10 @@ def shaping(budget: str, grid: Builder) -> Study:
 
 def _shaping_arms(panel: str, reward: RewardForm, grid: Builder) -> Iterator[Arm]:
     fits = grid.fits(grid.plans(PROBLEMS[SWING_UP]), PRESETS["modern"])
-    base = TrainConfig(SWING_UP, obs="trig", reward=reward, shaping_scale=SHAPING_SCALE)
+    plain = TrainConfig(SWING_UP, obs="trig", reward=reward)
     for label, form in SHAPINGS.items():
-        yield grid.arm(panel, label, replace(base, shaping=form), fits if form == "z" else ())
+        shaped = replace(plain, shaping=form, shaping_scale=SHAPING_SCALE)
+        yield grid.arm(panel, label, plain if form == "none" else shaped, fits if form == "z" else ())
 
 
 # --- recipe ---------------------------------------------------------------------------------------------
@@ -178,6 +179,8 @@ RECIPE = "recipe: sin/cos + z"
 RECIPE_FIT = PRESETS["modern"].changed(linearity=2.0)
 RECIPE_EACH = 15
 """Policies for each of the embeddings."""
+RECIPE_SEED, RECIPE_FIT_SEED = 200, 10
+"""Seeds that nothing was chosen on: neither the embedding's settings nor the policies'."""
 
 
 def recipe(budget: str, grid: Builder) -> Study:
@@ -185,13 +188,15 @@ def recipe(budget: str, grid: Builder) -> Study:
     panel, plans = panel_of(SWING_UP, "trpo"), grid.plans(PROBLEMS[SWING_UP])
     raw = TrainConfig(SWING_UP, preset="modern")
     trig, trig_z = replace(raw, obs="trig"), replace(raw, obs="trig", z="augment")
-    random = grid.fits(plans, PRESETS["modern"].changed(name="random"))
+    unseen = replace(grid, seed=RECIPE_SEED)
+    random = grid.fits(plans, PRESETS["modern"].changed(name="random"), first=RECIPE_FIT_SEED)
     seeds = RECIPE_EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
+    fits = grid.fits(plans, RECIPE_FIT, first=RECIPE_FIT_SEED)
     arms = (
-        grid.arm(panel, RECIPE, trig_z, grid.fits(plans, RECIPE_FIT), seeds),
-        grid.arm(panel, "sin/cos", trig, seeds=seeds),
-        grid.arm(panel, "sin/cos + random encoder", trig_z, random, seeds),
-        grid.arm(panel, RAW, raw, seeds=seeds),
+        unseen.arm(panel, RECIPE, trig_z, fits, seeds),
+        unseen.arm(panel, "sin/cos", trig, seeds=seeds),
+        unseen.arm(panel, "sin/cos + random encoder", trig_z, random, seeds),
+        unseen.arm(panel, RAW, raw, seeds=seeds),
     )
     return Study(
         "recipe",
@@ -199,5 +204,8 @@ def recipe(budget: str, grid: Builder) -> Study:
         "How surely can the swing-up be learned?",
         arms,
         tuple(_better(panel, f"the recipe is better than {x.label}", RECIPE, x.label) for x in arms[1:]),
-        ("TRPO of the preset modern in every arm; 15 policies for each of five embeddings.",),
+        (
+            "TRPO of the preset modern in every arm; 15 policies for each of five embeddings. Nothing was "
+            "chosen on these seeds.",
+        ),
     )

@@ -7,21 +7,22 @@ on the machine it died on, the unit goes on from its last checkpoint.
 
 import getpass
 import logging
+import os
 import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-import planspace
-from planspace.cores import ONE_THREAD
+from planspace.cores import ONE_THREAD, available_cores
 from planspace.errors import PlanspaceError, UsageError
-from planspace.store import locked, make_folder, read_bytes, write_bytes
-from planspace.study.execute import execute, folder_of, is_done, mark_whole, result_file
+from planspace.store import differences, json_hash, locked, make_folder, read_bytes, write_bytes
+from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
 from planspace.study.pool import REFRESH_S, named
 from planspace.study.unit import Unit
 
@@ -72,7 +73,7 @@ class RayPool:
     def start(self, unit: Unit) -> None:
         """Sends a unit, with the files of what it needs."""
         needed = {need.name: files_in(folder_of(need, self._out)) for need in unit.needs}
-        self._running[self._task.remote(unit, needed, planspace.__version__)] = unit
+        self._running[self._task.remote(unit, needed, VERSIONS)] = unit
 
     def wait(self) -> Sequence[tuple[Unit, str | None]]:
         """The units that have ended, their files laid down here."""
@@ -91,12 +92,12 @@ class RayPool:
         except Exception as error:  # whatever went wrong there is that unit's error here
             cause = getattr(error, "cause", None)
             return unit, named(cause if isinstance(cause, Exception) else error)
+        try:
+            keep_result(unit, self._out, result)
+        except PlanspaceError as error:
+            return unit, named(error)
         rmtree(folder_of(unit, self._out), ignore_errors=True)  # what was begun here
         lay_down(folder_of(unit, self._out), files)
-        make_folder(result_file(unit, self._out).parent)
-        if not is_done(unit, self._out):
-            write_bytes(result_file(unit, self._out), result)
-        mark_whole(unit, self._out)
         return unit, None
 
 
@@ -145,23 +146,42 @@ def check_cluster(address: str) -> None:
 # --- on the cluster -------------------------------------------------------------------------------------
 
 
-def run_remotely(unit: Unit, needed: dict[str, Files], version: str) -> tuple[bytes, Files]:
+def run_remotely(
+    unit: Unit, needed: dict[str, Files], versions: dict[str, str]
+) -> tuple[dict[str, Any], Files]:
     """A task: runs a unit in a folder of this machine, where a worker that died before has left what it had.
 
     Raises:
-        PlanspaceError: planspace is another version here, or the unit failed.
+        PlanspaceError: a library is another version here, or the unit failed.
     """
-    if version != planspace.__version__:
-        raise PlanspaceError(f"planspace is {planspace.__version__} on a worker, {version} here.")
-    out = Path(tempfile.gettempdir()) / f"planspace-{getpass.getuser()}" / unit.name
-    make_folder(out)
-    with locked(out):
-        for need in unit.needs:
-            lay_down(folder_of(need, out), needed[need.name])
-        execute(unit, out)
-        found = read_bytes(result_file(unit, out)), files_in(folder_of(unit, out))
-    rmtree(out, ignore_errors=True)
+    if other := list(differences(versions, VERSIONS)):
+        raise PlanspaceError(f"a worker has other versions: {'; '.join(other)}.")
+    scratch = make_folder(Path(tempfile.gettempdir()) / f"planspace-{getpass.getuser()}")
+    with _own_core(scratch):
+        out = make_folder(scratch / f"{unit.name}-{json_hash(versions)[:8]}")
+        with locked(out):
+            for need in unit.needs:
+                lay_down(folder_of(need, out), needed[need.name])
+            execute(unit, out)
+            found = read_result(unit, out), files_in(folder_of(unit, out))
+        rmtree(out, ignore_errors=True)
     return found
+
+
+@contextmanager
+def _own_core(scratch: Path) -> Iterator[None]:
+    """Keeps this process to a core that no other task of ours is on, as Ray has been told it would."""
+    cores = available_cores()
+    with ExitStack() as held:
+        for core in cores if hasattr(os, "sched_setaffinity") else ():
+            try:
+                held.enter_context(locked(make_folder(scratch / f"core-{core}")))
+            except PlanspaceError:  # another task is on it
+                continue
+            os.sched_setaffinity(0, {core})
+            held.callback(os.sched_setaffinity, 0, cores)
+            break
+        yield
 
 
 def files_in(folder: Path) -> Files:

@@ -69,10 +69,10 @@ class Arm:
 class Claim:
     """What is claimed, and the number that decides it.
 
-    The number is a measure of an arm less that of another (or, without another, less `margin`), over the
-    seeds; of a spread, the logarithm of other over arm. Its 95 % interval decides: `more` and `less` hold if
-    it lies beyond 0 on their side and fail if it lies on the other side; `same` holds if it lies within
-    +- `margin` and fails if it lies outside.
+    The number is a measure of an arm, less that of another if there is one, over the seeds; of a spread, the
+    logarithm of other over arm. Its 95 % interval decides: `more` holds if it lies above `margin` and fails
+    if it lies below, `less` holds if it lies below -`margin` and fails if it lies above, `same` holds if it
+    lies within +- `margin` and fails if it lies outside.
     """
 
     text: str
@@ -131,8 +131,10 @@ class Builder:
     """Makes the units of a budget."""
 
     budget: Budget
-    seeds: int
-    seed: int
+    seeds: int = 0
+    """Seeds an arm, where that is not the study's own number."""
+    seed: int = 0
+    """The first."""
 
     def arm(
         self,
@@ -169,10 +171,10 @@ class Builder:
         """An embedding; `seeds` are `num_seeds` and `seed`."""
         return FitUnit(plans, config.changed(steps=self.budget.fit_steps), **seeds)
 
-    def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0) -> tuple[FitUnit, ...]:
+    def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
         """One a seed, to be taken in turn."""
         num = min(num or self.budget.embeddings, self.budget.embeddings)
-        return tuple(self.fit(plans, config, seed=seed) for seed in range(num))
+        return tuple(self.fit(plans, config, seed=seed) for seed in range(first, first + num))
 
 
 def _closure(units: Iterable[Unit]) -> Iterator[Unit]:

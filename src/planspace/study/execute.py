@@ -1,7 +1,7 @@
 """One unit run to its end: its folder, and the small result that a report is made of.
 
     DIR/work/NAME/          the unit's folder, as `planspace plan`, `embed`, `train` leave it; may be deleted
-    DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and seconds
+    DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and time
 
 A unit whose result is there is done, on whatever machine. Its folder is made again only if another unit that
 is not done reads it; its result stays what it was.
@@ -13,14 +13,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import jax
+import mujoco
 import numpy as np
 
+import planspace
+from planspace.cores import count_cores
 from planspace.demos.dataset import Demos, load_demos
 from planspace.embed.curves import read_log
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit
 from planspace.embed.plot import principal
-from planspace.errors import PartialResult
+from planspace.errors import PartialResult, PlanspaceError
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
@@ -33,6 +37,9 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 from planspace.study.wound import wound_plans
 
 SCHEMA = 1
+VERSIONS = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}
+WHOLE = "unit.whole"
+"""In the folder of a unit that came to its end."""
 KEPT_EVERY, SHORT = 5, 50
 """Returns are kept as means of so many iterations, rounded to 2 decimals; of fewer iterations than the second
 number every one is."""
@@ -59,16 +66,7 @@ def is_done(unit: Unit, out: Path) -> bool:
 
 def has_folder(unit: Unit, out: Path) -> bool:
     """Whether its folder is there, whole; one that was begun and not ended is not."""
-    return _whole(unit, out).exists() and folder_of(unit, out).exists()
-
-
-def mark_whole(unit: Unit, out: Path) -> None:
-    """Says that a unit's folder is there, whole."""
-    write_bytes(_whole(unit, out), b"")
-
-
-def _whole(unit: Unit, out: Path) -> Path:
-    return out / "work" / f"{unit.name}.whole"
+    return (folder_of(unit, out) / WHOLE).exists()
 
 
 def read_result(unit: Unit, out: Path) -> dict[str, Any]:
@@ -95,12 +93,29 @@ def execute(unit: Unit, out: Path) -> None:
     resumed = folder.exists()
     make_folder(folder.parent)
     found = _RUN[unit.kind](unit, folder, out)
-    seconds = {"seconds": round(time.monotonic() - began, 1), "resumed": resumed}
-    if not is_done(unit, out):  # its folder alone was missing: what policies were made with is kept
+    clock = {"seconds": round(time.monotonic() - began, 1), "cores": count_cores(), "resumed": resumed}
+    head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec, "versions": VERSIONS}
+    keep_result(unit, out, {**head, "found": found, **clock})
+    write_bytes(folder / WHOLE, b"")
+
+
+def keep_result(unit: Unit, out: Path, result: dict[str, Any]) -> None:
+    """Writes a unit's result; one that is there, because its folder alone was made again, is kept.
+
+    Raises:
+        PlanspaceError: what was made again is not what the result says: others were made with that.
+    """
+    if not is_done(unit, out):
         make_folder(result_file(unit, out).parent)
-        head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
-        write_sealed(result_file(unit, out), {**head, "found": found, **seconds}, indent=None)
-    mark_whole(unit, out)
+        write_sealed(result_file(unit, out), result, indent=None)
+        return
+    before, now = (x["found"].get("hash") for x in (read_result(unit, out), result))
+    if before != now:
+        raise PlanspaceError(
+            f"{unit.name} was made again and is not what it was: this machine or its libraries compute "
+            f"otherwise than where {result_file(unit, out).parent} comes from. Bring the folder "
+            f"{folder_of(unit, out)} from there, or choose another --out."
+        )
 
 
 def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
@@ -142,7 +157,8 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> dict[str, Any]:
 
 
 def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> dict[str, Any]:
-    history = train(unit.config, folder, [load_embedding(folder_of(fit, out)) for fit in unit.fits])
+    embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
+    history = train(unit.config, folder, embeddings)
     returns, steps = history["return"], history["steps"]
     every = KEPT_EVERY if len(returns) >= SHORT else 1
     stops = [*range(every, len(returns), every), len(returns)]
@@ -150,6 +166,7 @@ def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> dict[str, Any]:
     best = load_policy(folder)
     _, played = play(best, 1, FILM_SEED)
     return {
+        "embeddings": [embedding.hash for embedding in embeddings],
         "seeds": list(unit.config.seeds),
         "steps": [int(steps[stop - 1]) for stop in stops],
         "returns": _round_all(blocks, 2),

@@ -27,14 +27,13 @@ STUDIES: dict[str, Callable[[str, Builder], Study]] = {
 }
 
 
-def make_study(name: str, budget: str, *, seeds: int = 0, seed: int = 0) -> Study:
+def make_study(name: str, budget: str, *, seeds: int = 0) -> Study:
     """A study of a name.
 
     Args:
         name: a key of `STUDIES`.
         budget: a key of `BUDGETS`.
         seeds: how many seeds an arm; 0 takes the study's own number.
-        seed: the first of them; a multiple of the block's size, so that blocks are the same units.
 
     Raises:
         UsageError: there is no such study or budget, or the seeds make no whole blocks.
@@ -43,6 +42,6 @@ def make_study(name: str, budget: str, *, seeds: int = 0, seed: int = 0) -> Stud
         raise unknown("study", name, STUDIES)
     if budget not in BUDGETS:
         raise unknown("budget", budget, BUDGETS)
-    if seeds % BLOCK or seed % BLOCK or min(seeds, seed) < 0:
-        raise UsageError(f"seeds come in blocks of {BLOCK}: --seeds and --seed are multiples of it.")
-    return STUDIES[name](budget, Builder(BUDGETS[budget], seeds, seed))
+    if seeds % BLOCK or seeds < 0:
+        raise UsageError(f"seeds come in blocks of {BLOCK}, got --seeds {seeds}.")
+    return STUDIES[name](budget, Builder(BUDGETS[budget], seeds))

@@ -68,6 +68,7 @@ class LocalPool:
 
     def start(self, unit: Unit) -> None:
         """Begins a unit in a process of its own."""
+        _error_file(unit, self._out).unlink(missing_ok=True)  # of an earlier attempt
         context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
         slot = self._free.pop()
         process = context.Process(target=_work, args=(unit, self._out, slot, self.size), name=unit.name)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-import planspace
 from planspace.embed.curves import plot_training
 from planspace.errors import PlanspaceError
 from planspace.figure import save_figure
@@ -81,7 +80,6 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
         max_bands=MAX_BANDS,
         final_steps=stats.FINAL_STEPS,
         visible=stats.VISIBLE_RATIO,
-        version=planspace.__version__,
     )
     return summary, path
 

@@ -6,15 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jax
-import mujoco
-
-import planspace
 from planspace.cores import count_cores
 from planspace.progress import progress
 from planspace.store import locked, make_folder, open_run
 from planspace.study.design import Study
-from planspace.study.execute import SCHEMA, has_folder, is_done, read_result
+from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
 from planspace.study.pool import LocalPool, Pool
 from planspace.study.unit import Unit
 
@@ -28,8 +24,7 @@ def open_results(out: Path) -> None:
     Raises:
         PlanspaceError: it was made by other versions, or is something else.
     """
-    versions = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}
-    open_run(out, {"command": "study", "schema": SCHEMA, "versions": versions})
+    open_run(out, {"command": "study", "schema": SCHEMA, "versions": VERSIONS})
 
 
 def units_to_run(study: Study, out: Path) -> list[Unit]:
@@ -124,7 +119,7 @@ class _State:
 
 
 def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
-    pace, total = _Pace(study, out), len(study.units)
+    pace, total = _Pace(study, out, max(1.0, count_cores() / pool.size)), len(study.units)
     done = sum(is_done(unit, out) and unit not in state.todo for unit in study.units)
     with progress(f"study {study.name}", total, done=done, unit="unit") as bar:
         while state.todo or state.running:
@@ -135,7 +130,7 @@ def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
             for unit, error in pool.wait():
                 seconds = state.ended(unit, error)
                 if error is None:
-                    pace.add(unit, seconds)
+                    pace.add(unit, seconds * pace.cores)
                     bar.update()
             counts = f"{len(state.running)} running, {len(state.failed)} failed"
             left = pace.left(state.todo, state.running.values(), pool.size)
@@ -145,11 +140,11 @@ def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
 class _Pace:
     """How long units take, against what was guessed."""
 
-    def __init__(self, study: Study, out: Path):
-        self._guessed, self._taken = 0.0, 0.0
+    def __init__(self, study: Study, out: Path, cores: float):
+        self._guessed, self._taken, self.cores = 0.0, 0.0, cores
         for unit in study.units:
             if is_done(unit, out) and not (result := read_result(unit, out))["resumed"]:
-                self.add(unit, result["seconds"])
+                self.add(unit, result["seconds"] * result["cores"])
 
     def add(self, unit: Unit, seconds: float) -> None:
         self._guessed += unit.cost
@@ -159,6 +154,6 @@ class _Pace:
         factor = self._taken / self._guessed if self._guessed else 1.0
         now = time.monotonic()
         waiting = sum(unit.cost for unit in todo) * factor
-        under_way = sum(max(unit.cost * factor - (now - began), 0.0) for unit, began in running)
-        minutes = (waiting + under_way) / at_a_time / 60
+        under_way = sum(max(unit.cost * factor - (now - began) * self.cores, 0.0) for unit, began in running)
+        minutes = (waiting + under_way) / (at_a_time * self.cores) / 60
         return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"

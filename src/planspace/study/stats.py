@@ -1,8 +1,10 @@
 """Statistics over seeds: what each arm reached, how sure that is, and what it decides.
 
-Every interval is a bootstrap's, at 95 %. Two arms are compared seed by seed: a seed's starts and noise are
-the same in both. Where seeds take several embeddings in turn, embeddings are drawn first and then the seeds
-of each, so that an interval says what other embeddings would bring, too.
+Every interval is a bootstrap's, at 95 %, widened for few seeds as Student's t is. Two arms are compared seed
+by seed: a seed's starts and noise are the same in both. Where seeds take several embeddings in turn,
+embeddings are drawn first and then the seeds of each, so that an interval says what other embeddings would
+bring, too; where two arms have different numbers of them, the smaller one counts. How often a seed of one arm
+beats one of another, and what is put together over tasks, takes seeds for independent.
 """
 
 from collections.abc import Callable, Sequence
@@ -133,7 +135,7 @@ def interval(
 ) -> Interval:
     """95 % interval of a number over seeds."""
     drawn = _draws(scores.seeds, scores.num_embeddings)
-    return _percentiles(number(x[drawn]))
+    return _widened(float(number(x)), number(x[drawn]), len(x), scores.num_embeddings)
 
 
 def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float, Interval]:
@@ -197,10 +199,12 @@ def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[
 
 def deviation_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
     """Logarithm of the deviation over seeds of `base` over that of `scores`, which have the same seeds."""
-    drawn = _draws(scores.seeds, max(scores.num_embeddings, base.num_embeddings))
+    groups = _groups(scores, base)
+    drawn = _draws(scores.seeds, groups)
     x, y = final(scores), final(base)
-    number = log_deviation(y) - log_deviation(x)
-    return float(number), _percentiles(log_deviation(y[drawn]) - log_deviation(x[drawn]))
+    number = float(log_deviation(y) - log_deviation(x))
+    draws = log_deviation(y[drawn]) - log_deviation(x[drawn])
+    return number, _widened(number, draws, len(x), groups)
 
 
 # --- claims ---------------------------------------------------------------------------------------------
@@ -235,25 +239,24 @@ def judge(claim: Claim, arm: Scores, other: Scores | None) -> Verdict:
     shared = tuple(seed for seed in arm.seeds if other is None or seed in other.seeds)
     if len(shared) < MIN_SEEDS:
         return Verdict(np.nan, (np.nan, np.nan), len(shared), OPEN)
-    groups = max(arm.num_embeddings, other.num_embeddings if other is not None else 0)
+    groups = _groups(arm, other)
     drawn = _draws(shared, groups)
     x = of_seeds(arm.of_seeds(shared))
     number, draws = over_seeds(x), over_seeds(x[drawn])
     if other is not None:
         y = of_seeds(other.of_seeds(shared))
         number, draws = number - over_seeds(y), draws - over_seeds(y[drawn])
-    shift = claim.margin if other is None else 0.0
-    low, high = sorted(sign * (bound - shift) for bound in _percentiles(draws))
-    return Verdict(float(sign * (number - shift)), (low, high), len(shared), _verdict(claim, low, high))
+    low, high = _widened(float(sign * number), sign * draws, len(shared), groups)
+    return Verdict(float(sign * number), (low, high), len(shared), _verdict(claim, low, high))
 
 
 def _verdict(claim: Claim, low: float, high: float) -> str:
+    margin = claim.margin
     if claim.expects == "same":
-        near = claim.margin
-        return HOLDS if -near < low and high < near else FAILS if low > near or high < -near else OPEN
-    above, below = low > 0, high < 0
-    holds, fails = (above, below) if claim.expects == "more" else (below, above)
-    return HOLDS if holds else FAILS if fails else OPEN
+        return HOLDS if -margin < low and high < margin else FAILS if low > margin or high < -margin else OPEN
+    if claim.expects == "less":
+        low, high = -high, -low
+    return HOLDS if low > margin else FAILS if high < margin else OPEN
 
 
 _MEASURES: dict[Measure, tuple[Callable[[Scores], np.ndarray], Callable[[np.ndarray], np.ndarray], int]] = {
@@ -282,7 +285,19 @@ def _draws(seeds: tuple[int, ...], num_embeddings: int) -> Int[np.ndarray, "resa
     return table[chosen, within.astype(int)].reshape(RESAMPLES, -1)
 
 
-def _percentiles(draws: np.ndarray) -> Interval:
-    tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(draws, [tail, 100 - tail])
-    return float(low), float(high)
+def _groups(arm: Scores, other: Scores | None) -> int:
+    """How many embeddings are drawn from: the smaller number, of two arms that both have several."""
+    several = [x.num_embeddings for x in (arm, other) if x is not None and x.num_embeddings > 1]
+    return min(several, default=0)
+
+
+def _widened(number: float, draws: np.ndarray, num_seeds: int, num_embeddings: int) -> Interval:
+    """Percentiles of the draws, as much farther from the number as few independent things ask for."""
+    num = num_embeddings if num_embeddings > 1 else num_seeds
+    tail = (1.0 - CONFIDENCE) / 2
+    low, high = np.percentile(draws, [100 * tail, 100 * (1 - tail)])
+    if num < 2:
+        return float(low), float(high)
+    student = float(scipy.stats.t.ppf(1 - tail, num - 1) / scipy.stats.norm.ppf(1 - tail))
+    wider = student * np.sqrt(num / (num - 1))
+    return float(number - wider * (number - low)), float(number + wider * (high - number))

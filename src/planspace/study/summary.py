@@ -4,7 +4,7 @@ Everything comes from the results of its units (`DIR/units`), so a report can be
 than the one that ran them.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from planspace.study import stats
 from planspace.study.design import Arm, Study
 from planspace.study.execute import is_done, read_result
 from planspace.study.stats import Scores, Verdict
-from planspace.study.unit import FitUnit, PlansUnit, Unit
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 LEVELS = {
     "cartpole": (0.0, 100.0),
@@ -118,11 +118,10 @@ def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
     config = arm.units[0].config
     solved = SOLVED.get(config.task) if config.reward == "dense" else None
     improved = stats.probability_of_improvement(x, stats.final(base))
-    planned = sum(unit.config.num_seeds for unit in arm.units)
     return {
         "arm": arm.label,
         "seeds": len(x),
-        "planned": planned,
+        "planned": _planned(arm),
         "embeddings": arm.num_embeddings,
         "frozen": scores.frozen,
         "mean": float(x.mean()),
@@ -142,21 +141,21 @@ def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
 
 
 def _over_tasks(findings: Findings) -> list[dict[str, Any]]:
-    """The interquartile mean of each arm that was run on several tasks, over tasks and seeds."""
+    """The interquartile mean of each arm that was run on all tasks, over tasks and seeds."""
+    tasks = {arm.units[0].config.task for arm in findings.study.arms}
     found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for arm in findings.study.arms:
         config = arm.units[0].config
         if arm.name in findings.scores and config.reward == "dense":
             low, high = LEVELS[config.task]
             normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
-            found.setdefault((config.algo.upper(), arm.label), {})[arm.panel] = normalised
+            found.setdefault((config.algo.upper(), arm.label), {})[config.task] = normalised
     rows = []
     for (algo, label), samples in found.items():
-        if len(samples) > 1:
+        if len(samples) > 1 and samples.keys() == tasks:
             number, interval = stats.iqm_over_tasks(list(samples.values()))
-            rows.append(
-                {"algo": algo, "arm": label, "tasks": len(samples), "iqm": number, "iqm_interval": interval}
-            )
+            row = {"algo": algo, "arm": label, "tasks": len(samples), "iqm": number}
+            rows.append({**row, "iqm_interval": interval})
     return rows
 
 
@@ -173,24 +172,38 @@ def _median_steps(scores: Scores, solved: float | None) -> float | None:
     """Steps until half of the seeds are above the threshold; None where fewer ever are."""
     if solved is None:
         return None
-    steps = float(np.median(stats.steps_to(scores, solved)))
-    return steps if np.isfinite(steps) else None
+    steps = np.sort(stats.steps_to(scores, solved))
+    half = float(steps[(len(steps) + 1) // 2 - 1])
+    return half if np.isfinite(half) else None
 
 
 def _claim(findings: Findings, number: int) -> dict[str, Any]:
     claim = findings.study.claims[number]
-    arm, other = findings.scores.get(claim.arm), findings.scores.get(claim.other)
-    if arm is None or (claim.other and other is None):
+    arms = [arm for arm in findings.study.arms if arm.name in (claim.arm, claim.other)]
+    scores = [findings.scores.get(name) for name in (claim.arm, claim.other) if name]
+    arm, other = (*scores, None)[:2]
+    if arm is None or None in scores:
         verdict = Verdict(np.nan, (np.nan, np.nan), 0, "not run yet")
     else:
         verdict = stats.judge(claim, arm, other)
+        if any(len(findings.scores[x.name].seeds) < _planned(x) for x in arms):
+            verdict = replace(verdict, verdict="not finished")  # to look in between and stop is no test
     found = {**asdict(claim), **asdict(verdict)}
     return found if np.isfinite(verdict.number) else {**found, "number": None, "interval": None}
 
 
+def _planned(arm: Arm) -> int:
+    return sum(unit.config.num_seeds for unit in arm.units)
+
+
 def _embedding(findings: Findings, unit: FitUnit) -> dict[str, Any]:
     found = findings.found(unit)
-    return {"demos": unit.plans.num, "z_dim": unit.config.z_dim, "seed": found["seed"], **found["metrics"]}
+    return {
+        "demos": findings.found(unit.plans)["count"],
+        "z_dim": unit.config.z_dim,
+        "seed": found["seed"],
+        **found["metrics"],
+    }
 
 
 def _plans(findings: Findings, unit: Unit) -> dict[str, Any]:
@@ -205,17 +218,28 @@ def _is(kind: type, unit: Unit, findings: Findings) -> bool:
 
 def _time(findings: Findings) -> dict[str, int]:
     """What the finished units took, and what the whole study will, by the cost of the units that are left."""
-    whole = [unit for unit in findings.study.units if unit.name in findings.results]
-    timed = [unit for unit in whole if not findings.results[unit.name]["resumed"]]
-    seconds = sum(findings.results[unit.name]["seconds"] for unit in timed)
-    guessed = sum(unit.cost for unit in timed)
-    factor = seconds / guessed if guessed else 1.0
+    taken: dict[str, float] = {}
+    guessed: dict[str, float] = {}
+    timed = 0
+    for unit in findings.study.units:
+        result = findings.results.get(unit.name)
+        if result is not None and not result["resumed"]:
+            timed += 1
+            taken[_pace(unit)] = taken.get(_pace(unit), 0.0) + result["seconds"] * result["cores"]
+            guessed[_pace(unit)] = guessed.get(_pace(unit), 0.0) + unit.cost
+    factors = {kind: taken[kind] / guessed[kind] for kind in taken}
+    whole = sum(unit.cost * factors.get(_pace(unit), 1.0) for unit in findings.study.units)
     return {
-        "timed_units": len(timed),
-        "timed_core_seconds": round(seconds),
-        "guessed_core_seconds": round(guessed),
-        "whole_core_seconds": round(factor * sum(unit.cost for unit in findings.study.units)),
+        "timed_units": timed,
+        "timed_core_seconds": round(sum(taken.values())),
+        "whole_core_seconds": round(whole),
+        "not_timed": sum(_pace(unit) not in factors for unit in findings.study.units),
     }
+
+
+def _pace(unit: Unit) -> str:
+    """What units of one pace have in common."""
+    return f"{unit.kind} {unit.config.algo}" if isinstance(unit, PolicyUnit) else unit.kind
 
 
 # --- as text --------------------------------------------------------------------------------------------

@@ -1,15 +1,16 @@
 """The units a study is made of: demonstrations, embeddings, and policies of a few seeds.
 
 A unit is plain data. Its name is the hash of all that it depends on, so the same unit of two studies is one,
-and is run once. What tasks, problems and defaults are is part of planspace's version, and a folder of results
-takes one version alone.
+and is run once. Tasks are known by their names alone: what they are is part of planspace's version, and a
+folder of results takes one version.
 """
 
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 from planspace.embed.config import FitConfig
+from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.store import json_hash
 
@@ -115,16 +116,10 @@ Unit = PlansUnit | FitUnit | PolicyUnit
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses as what differs from their defaults."""
+    """Dataclasses as plain data, presets resolved."""
     if isinstance(value, TrainConfig):
         value = value.learning()  # the preset's settings themselves, which may change under its name
     if is_dataclass(value):
-        pairs = ((f, getattr(value, f.name)) for f in fields(value))
-        return {f.name: _plain(x) for f, x in pairs if x != _default(f)}
-    if isinstance(value, tuple):
-        return [_plain(x) for x in value]
-    return value
-
-
-def _default(field: Field[Any]) -> Any:
-    return field.default_factory() if field.default_factory is not MISSING else field.default
+        problem = {"problem_hash": load_problem(value.problem).hash} if isinstance(value, PlansUnit) else {}
+        return {**{f.name: _plain(getattr(value, f.name)) for f in fields(value)}, **problem}
+    return [_plain(x) for x in value] if isinstance(value, tuple) else value
