@@ -27,7 +27,7 @@ EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
     "test": (("pytest", "hypothesis", "beartype"), "running the tests"),
     "dev": (("ruff", "pyright", "codespell_lib"), "linting and type checks"),
 }
-"""Extra to the modules it brings and what it is for. This version itself uses all but `ray` and `fuzz`."""
+"""Extra to the modules it brings and what it is for. This version itself uses all but `fuzz`."""
 
 RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'

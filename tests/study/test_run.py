@@ -180,7 +180,10 @@ def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
 
     with locked(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
         run_study(TINY, copied)
+    left_behind = copied / "units" / ".writing-x.json-123"
+    left_behind.touch()
     assert run_study(TINY, copied) == {}
+    assert not left_behind.exists()
 
 
 def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:

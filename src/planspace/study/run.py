@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planspace.cores import count_cores
 from planspace.progress import progress
-from planspace.store import locked, make_folder, open_run
+from planspace.store import TEMPORARY_PREFIX, locked, make_folder, open_run
 from planspace.study.design import Study
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
 from planspace.study.pool import LocalPool, Pool
@@ -64,6 +64,8 @@ def run_study(
     open_results(out)
     make_folder(out / "work")
     with locked(out):
+        for left_behind in (out / "units").glob(f"{TEMPORARY_PREFIX}*"):  # by a kill in the middle of a write
+            left_behind.unlink()
         state = _State(units_to_run(study, out))
         if state.todo:
             pool = make_pool(out, min(workers or count_cores(), len(state.todo)))
