@@ -2,7 +2,7 @@
 
 With Phi(x) = -scale d(x, goal) / d_0, the reward of a step grows by gamma Phi(x') - Phi(x) (Ng, Harada and
 Russell 1999); d_0 is the mean distance of the task's starts, so that distances of different kinds are worth
-the same. For one environment that is `PlanSpaceShaping` ; here it is for all seeds at once.
+the same. For one environment that is `PlanSpaceShaping`; here it is for all seeds at once.
 """
 
 from collections.abc import Callable

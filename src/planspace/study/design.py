@@ -9,7 +9,6 @@ from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
-BudgetName = Literal["smoke", "half", "full", "paper"]
 Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
 Expectation = Literal["more", "less", "same"]
 

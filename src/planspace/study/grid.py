@@ -1,14 +1,11 @@
 """The studies as data: which units, which arms, and the claims they decide, fixed before anything is run."""
 
 from collections.abc import Callable
-from typing import Literal
 
 from planspace.errors import UsageError, unknown
 from planspace.study.beyond import controls, demos, recipe, shaping
 from planspace.study.design import BLOCK, Budget, Builder, Study
 from planspace.study.paper import paper
-
-BudgetName = Literal["smoke", "half", "full", "paper"]
 
 BUDGETS: dict[str, Budget] = {
     "smoke": Budget(steps=12_000, seeds=2, plans=12, embeddings=2, restarts=1, fit_steps=300),

@@ -6,7 +6,7 @@ folder of results takes one version.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
 
 from planspace.embed.config import FitConfig
@@ -29,9 +29,7 @@ class _Unit:
 
     @cached_property
     def spec(self) -> dict[str, Any]:
-        """Everything it depends on, as plain data; what has its default is left out, so that a setting that
-        is added later changes no name.
-        """
+        """Everything it depends on, as plain data."""
         return {"kind": self.kind, **_plain(self)}
 
     @cached_property
@@ -120,6 +118,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, TrainConfig):
         value = value.learning()  # the preset's settings themselves, which may change under its name
     if is_dataclass(value):
-        problem = {"problem_hash": load_problem(value.problem).hash} if isinstance(value, PlansUnit) else {}
+        problem = {"problem_hash": _problem_hash(value.problem)} if isinstance(value, PlansUnit) else {}
         return {**{f.name: _plain(getattr(value, f.name)) for f in fields(value)}, **problem}
     return [_plain(x) for x in value] if isinstance(value, tuple) else value
+
+
+@lru_cache
+def _problem_hash(name: str) -> str:
+    """Read once: hundreds of units of a study name it."""
+    return load_problem(name).hash
