@@ -199,12 +199,7 @@ def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[
 
 def deviation_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
     """Logarithm of the deviation over seeds of `base` over that of `scores`, which have the same seeds."""
-    groups = _groups(scores, base)
-    drawn = _draws(scores.seeds, groups)
-    x, y = final(scores), final(base)
-    number = float(log_deviation(y) - log_deviation(x))
-    draws = log_deviation(y[drawn]) - log_deviation(x[drawn])
-    return number, _widened(number, draws, len(x), groups)
+    return _compare("spread", scores, base)
 
 
 # --- claims ---------------------------------------------------------------------------------------------
@@ -235,19 +230,25 @@ def judge(claim: Claim, arm: Scores, other: Scores | None) -> Verdict:
         arm: its arm.
         other: what it is compared with; of both, the seeds they share are taken.
     """
-    of_seeds, over_seeds, sign = _MEASURES[claim.measure]
     shared = tuple(seed for seed in arm.seeds if other is None or seed in other.seeds)
     if len(shared) < MIN_SEEDS:
         return Verdict(np.nan, (np.nan, np.nan), len(shared), OPEN)
+    other = None if other is None else other.of_seeds(shared)
+    number, (low, high) = _compare(claim.measure, arm.of_seeds(shared), other)
+    return Verdict(number, (low, high), len(shared), _verdict(claim, low, high))
+
+
+def _compare(measure: Measure, arm: Scores, other: Scores | None) -> tuple[float, Interval]:
+    """A measure of an arm less another's with the same seeds, and its interval; a spread turned about."""
+    of_seeds, over_seeds, sign = _MEASURES[measure]
     groups = _groups(arm, other)
-    drawn = _draws(shared, groups)
-    x = of_seeds(arm.of_seeds(shared))
+    drawn = _draws(arm.seeds, groups)
+    x = of_seeds(arm)
     number, draws = over_seeds(x), over_seeds(x[drawn])
     if other is not None:
-        y = of_seeds(other.of_seeds(shared))
+        y = of_seeds(other)
         number, draws = number - over_seeds(y), draws - over_seeds(y[drawn])
-    low, high = _widened(float(sign * number), sign * draws, len(shared), groups)
-    return Verdict(float(sign * number), (low, high), len(shared), _verdict(claim, low, high))
+    return float(sign * number), _widened(float(sign * number), sign * draws, len(x), groups)
 
 
 def _verdict(claim: Claim, low: float, high: float) -> str:
