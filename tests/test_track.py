@@ -96,11 +96,12 @@ def nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_wandb_keeps_the_run_in_its_folder_where_nobody_is_logged_in(nobody: None, tmp_path: Path) -> None:
-    pytest.importorskip("wandb")
+    wandb = pytest.importorskip("wandb")
 
     with open_trackers(("wandb",), tmp_path / "run") as add:
         add(4000, {"return/seed 0": -1.5})
         add(8000, {"return/seed 0": -0.5})
+    wandb.teardown()  # its service, a process of its own, may still be writing
     (path,) = (tmp_path / "run" / "wandb").glob("offline-run-*/run-*.wandb")
     data = path.read_bytes()  # protocol buffers: text as it is
     assert b"return/seed 0" in data and data.index(b"-1.5") < data.index(b"-0.5")
