@@ -16,9 +16,7 @@ from planspace.study.cluster import check_cluster, files_in, lay_down, ray_pool
 from planspace.study.execute import is_done
 from planspace.study.run import run_study
 
-from .test_run import FIT, PLANS, TINY, finished, what_was_found
-
-__all__ = ["finished"]  # a fixture
+from .conftest import FIT, PLANS, TINY, what_was_found
 
 LOCAL = "127.0.0.1"
 KILLED = "ray::run_remotely"
@@ -31,23 +29,25 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def head(tmp_path: Path, **environment: str) -> Iterator[str]:
-    """A cluster of this machine."""
-    port, home = free_port(), {"RAY_TMPDIR": "/tmp", **environment}
-    start = ["-m", "ray.scripts.scripts", "start", "--head", "--num-cpus=2", f"--port={port}"]
-    flags = [f"--node-ip-address={LOCAL}", "--include-dashboard=false", "--disable-usage-stats"]
-    subprocess.run(
-        [sys.executable, *start, *flags],
-        env={**os.environ, **home},
-        check=True,
-        capture_output=True,
-        timeout=120,
-    )
-    try:
-        yield f"{LOCAL}:{port}"
-    finally:
-        stop = [sys.executable, "-m", "ray.scripts.scripts", "stop", "--force"]
-        subprocess.run(stop, check=False, capture_output=True, timeout=120)
+def head(**environment: str) -> Iterator[str]:
+    """A cluster of this machine; it ends alone, others on the machine stay."""
+    port = free_port()
+    start = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", f"--port={port}"]
+    flags = [f"--node-ip-address={LOCAL}", "--num-cpus=2", "--include-dashboard=false"]
+    with subprocess.Popen(
+        [*start, *flags, "--disable-usage-stats"],
+        env={**os.environ, "RAY_TMPDIR": "/tmp", **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as cluster:
+        try:
+            assert cluster.stdout is not None
+            assert any("Ray runtime started" in line for line in cluster.stdout)
+            yield f"{LOCAL}:{port}"
+        finally:
+            os.killpg(cluster.pid, signal.SIGKILL)
 
 
 def workers() -> list[int]:
@@ -72,7 +72,7 @@ def test_a_cluster_finds_the_same_though_a_worker_is_killed(finished: Path, tmp_
                     killed.append(pid)
 
     out = tmp_path / "out"
-    with head(tmp_path) as address:
+    with head() as address:
         killer = threading.Thread(target=kill_one)
         killer.start()
         failed = run_study(TINY, out, 2, ray_pool(address))
@@ -88,7 +88,7 @@ def test_a_cluster_finds_the_same_though_a_worker_is_killed(finished: Path, tmp_
 @pytest.mark.slow
 def test_a_cluster_that_wants_a_token_is_named_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray")
-    with head(tmp_path, RAY_AUTH_MODE="token", RAY_AUTH_TOKEN="a" * 64) as address:
+    with head(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN="a" * 64) as address:
         monkeypatch.setenv("RAY_AUTH_MODE", "token")
         monkeypatch.setenv("RAY_AUTH_TOKEN", "b" * 64)
         began = time.monotonic()

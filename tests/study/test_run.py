@@ -12,56 +12,24 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import load_demos
-from planspace.embed.config import PRESETS
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
-from planspace.rl.config import TrainConfig
 from planspace.store import write_sealed
 from planspace.study import run as module
-from planspace.study.design import Arm, Claim, Study
+from planspace.study.design import Arm, Claim
 from planspace.study.execute import folder_of, is_done, read_result, result_file
 from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
 from planspace.study.stats import Scores
 from planspace.study.summary import Findings, as_text, read_findings, summarise
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.unit import PolicyUnit, Unit
 
-PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
-FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
-BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
-
+from .conftest import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, what_was_found
 
 PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
-
-
-def policy(seed: int, z: bool = False) -> PolicyUnit:
-    config = replace(BASE, seed=seed, z="augment" if z else "none")
-    return PolicyUnit(config, (FIT,) if z else ())
-
-
-RAW = Arm("balance", "raw", (policy(0), policy(1)))
-WITH_Z = Arm("balance", "raw + z", (policy(0, z=True), policy(1, z=True)))
-TINY = Study(
-    "tiny",
-    "smoke",
-    "Does it run?",
-    (RAW, WITH_Z),
-    (Claim("z helps", "ours", "final", WITH_Z.name, RAW.name),),
-)
-
-
-def what_was_found(study: Study, out: Path) -> dict[str, dict]:
-    return {unit.name: read_result(unit, out)["found"] for unit in study.units}
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("study") / "out"
-    assert run_study(TINY, out, workers=2) == {}
-    return out
 
 
 @pytest.fixture
@@ -272,7 +240,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {root!r})
 from planspace.study.run import run_study
-from tests.study.test_run import TINY
+from tests.study.conftest import TINY
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
@@ -292,7 +260,7 @@ def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tm
     for kill in range(10):
         process = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL)
         try:
-            process.wait(rng.uniform(2.0, 9.0) if kill < 3 else 300)
+            process.wait(rng.uniform(2.0, 6.0) if kill < 2 else 300)
             break
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)

@@ -1,0 +1,44 @@
+"""A study of six small units, and what it ends with."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from planspace.embed.config import PRESETS
+from planspace.rl.config import TrainConfig
+from planspace.study.design import Arm, Claim, Study
+from planspace.study.execute import read_result
+from planspace.study.run import run_study
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
+
+PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
+FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
+BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
+
+
+def policy(seed: int, z: bool = False) -> PolicyUnit:
+    config = replace(BASE, seed=seed, z="augment" if z else "none")
+    return PolicyUnit(config, (FIT,) if z else ())
+
+
+RAW = Arm("balance", "raw", (policy(0), policy(1)))
+WITH_Z = Arm("balance", "raw + z", (policy(0, z=True), policy(1, z=True)))
+TINY = Study(
+    "tiny",
+    "smoke",
+    "Does it run?",
+    (RAW, WITH_Z),
+    (Claim("z helps", "ours", "final", WITH_Z.name, RAW.name),),
+)
+
+
+def what_was_found(study: Study, out: Path) -> dict[str, dict]:
+    return {unit.name: read_result(unit, out)["found"] for unit in study.units}
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("study") / "out"
+    assert run_study(TINY, out, workers=2) == {}
+    return out
