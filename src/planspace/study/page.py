@@ -1,4 +1,4 @@
-"""Pages that need nothing beside them: one HTML file, its scripts inside, which loads nothing."""
+"""Pages that need nothing beside them: one file; of HTML its scripts are inside, and it loads nothing."""
 
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
     """Fills a template; what is text stays text, whatever is in it.
 
     Args:
-        path: the HTML file.
+        path: the file.
         template: its name among the templates.
         content: what it asks for; figures as `embedded` gives them.
     """

@@ -32,7 +32,7 @@ THRESHOLDS = 200
 
 
 def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
-    """Writes `DIR/STUDY-BUDGET/`: report.html, tables.json and figures, from what is done so far.
+    """Writes `DIR/STUDY-BUDGET/`: report.html, tables.json, tables.md and figures, of what is done so far.
 
     Args:
         findings: what is known of the study.
@@ -60,26 +60,31 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
         panels.append(
             {
                 "name": panel,
+                "slug": slug(panel),
                 "rows": summary["panels"][panel],
                 "curves": embedded(interactive_curves(curves)),
                 "profiles": embedded(interactive_profiles(profiles)),
                 "films": [_film(findings, arm) for arm in arms],
             }
         )
-    path = write_page(
-        folder / "report.html",
-        "study.html",
+    content = dict(
         summary=summary,
         study=study,
         command=f"planspace study {study.name} --budget {study.budget}",
         versions=read_json(out / CONFIG)["versions"],
         panels=panels,
+        final_steps=stats.FINAL_STEPS,
+    )
+    write_page(folder / "tables.md", "tables.md", **content)
+    path = write_page(
+        folder / "report.html",
+        "study.html",
         trainings=_trainings(findings, figures),
         spaces=_spaces(findings),
         smoothing=SMOOTHING,
         max_bands=MAX_BANDS,
-        final_steps=stats.FINAL_STEPS,
         visible=stats.VISIBLE_RATIO,
+        **content,
     )
     return summary, path
 
