@@ -3,6 +3,7 @@
 import io
 from pathlib import Path
 
+import matplotlib
 import matplotlib.figure
 
 from planspace.store import write_bytes
@@ -12,9 +13,10 @@ COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33", "#7
 
 
 def save_figure(figure: matplotlib.figure.Figure, folder: Path, name: str) -> Path:
-    """Saves a figure as PNG and SVG; returns the PNG's path."""
+    """Saves a figure as PNG and SVG, the same bytes for the same figure; returns the PNG's path."""
     for ending in ("svg", "png"):
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=ending, dpi=150)
+        with matplotlib.rc_context({"svg.hashsalt": name}):
+            figure.savefig(buffer, format=ending, dpi=150, metadata={"Date": None} if ending == "svg" else {})
         write_bytes(folder / f"{name}.{ending}", buffer.getvalue())
     return folder / f"{name}.png"

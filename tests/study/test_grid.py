@@ -59,10 +59,11 @@ def test_studies_hold_together(name: str, budget: str) -> None:
 def test_the_paper_has_two_systems_two_sizes_and_fifteen_seeds() -> None:
     study = make_study("paper", "paper")
     assert len(study.arms) == 2 * 4 * 5
-    assert {(fit.plans.problem, fit.config.z_dim) for fit in study.fits} == {
+    fits = [unit for unit in study.units if isinstance(unit, FitUnit)]
+    assert {(fit.plans.problem, fit.config.z_dim) for fit in fits} == {
         (problem, z) for problem in ("cartpole-swingup", "reacher") for z in (3, 10)
     }
-    assert all(fit.num_seeds == 5 and fit.config.preset == "paper" for fit in study.fits)
+    assert all(fit.num_seeds == 5 and fit.config.preset == "paper" for fit in fits)
     assert all(sum(unit.config.num_seeds for unit in arm.units) == 15 for arm in study.arms)
     assert {unit.config.steps for arm in study.arms for unit in arm.units} == {8_000_000}
 

@@ -100,11 +100,6 @@ class Study:
     """What a reader of its figures must know."""
 
     @property
-    def fits(self) -> tuple[FitUnit, ...]:
-        """The embeddings, each once."""
-        return tuple(unit for unit in self.units if isinstance(unit, FitUnit))
-
-    @property
     def units(self) -> tuple[Unit, ...]:
         """Every unit once, what is needed before what needs it."""
         return tuple({unit.name: unit for arm in self.arms for unit in _closure(arm.units)}.values())

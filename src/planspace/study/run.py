@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from planspace.progress import progress
 from planspace.store import TEMPORARY_PREFIX, locked, make_folder, open_run
 from planspace.study.design import Study
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
+from planspace.study.pace import Pace
 from planspace.study.pool import LocalPool, Pool
 from planspace.study.unit import Unit
 
@@ -121,9 +122,11 @@ class _State:
 
 
 def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
-    pace, total = _Pace(study, out, max(1.0, count_cores() / pool.size)), len(study.units)
-    done = sum(is_done(unit, out) and unit not in state.todo for unit in study.units)
-    with progress(f"study {study.name}", total, done=done, unit="unit") as bar:
+    cores = max(1.0, count_cores() / pool.size)
+    results = {unit.name: read_result(unit, out) for unit in study.units if is_done(unit, out)}
+    pace = Pace.of(study.units, results)
+    done = sum(unit.name in results and unit not in state.todo for unit in study.units)
+    with progress(f"study {study.name}", len(study.units), done=done, unit="unit") as bar:
         while state.todo or state.running:
             while len(state.running) < pool.size and (unit := state.next()) is not None:
                 pool.start(unit)
@@ -132,30 +135,17 @@ def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
             for unit, error in pool.wait():
                 seconds = state.ended(unit, error)
                 if error is None:
-                    pace.add(unit, seconds * pace.cores)
+                    pace.add(unit, seconds * cores)
                     bar.update()
             counts = f"{len(state.running)} running, {len(state.failed)} failed"
-            left = pace.left(state.todo, state.running.values(), pool.size)
+            left = _time_left(state, pace, pool, cores)
             bar.set_postfix_str(f"{counts}, {left} left", refresh=sys.stderr.isatty())
 
 
-class _Pace:
-    """How long units take, against what was guessed."""
-
-    def __init__(self, study: Study, out: Path, cores: float):
-        self._guessed, self._taken, self.cores = 0.0, 0.0, cores
-        for unit in study.units:
-            if is_done(unit, out) and not (result := read_result(unit, out))["resumed"]:
-                self.add(unit, result["seconds"] * result["cores"])
-
-    def add(self, unit: Unit, seconds: float) -> None:
-        self._guessed += unit.cost
-        self._taken += seconds
-
-    def left(self, todo: Sequence[Unit], running: Iterable[tuple[Unit, float]], at_a_time: int) -> str:
-        factor = self._taken / self._guessed if self._guessed else 1.0
-        now = time.monotonic()
-        waiting = sum(unit.cost for unit in todo) * factor
-        under_way = sum(max(unit.cost * factor - (now - began) * self.cores, 0.0) for unit, began in running)
-        minutes = (waiting + under_way) / (at_a_time * self.cores) / 60
-        return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"
+def _time_left(state: _State, pace: Pace, pool: Pool, cores: float) -> str:
+    """Until all is done, where a unit runs on so many cores."""
+    now = time.monotonic()
+    waiting = sum(pace.expect(unit) for unit in state.todo)
+    under_way = sum(max(pace.expect(u) - (now - began) * cores, 0.0) for u, began in state.running.values())
+    minutes = (waiting + under_way) / (pool.size * cores) / 60
+    return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"

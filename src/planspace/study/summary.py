@@ -14,8 +14,9 @@ from planspace.rl.config import BATCH_STEPS
 from planspace.study import stats
 from planspace.study.design import Arm, Study
 from planspace.study.execute import is_done, read_result
+from planspace.study.pace import Pace
 from planspace.study.stats import Scores, Verdict
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.unit import FitUnit, PlansUnit, Unit
 
 LEVELS = {
     "cartpole": (0.0, 100.0),
@@ -217,29 +218,14 @@ def _is(kind: type, unit: Unit, findings: Findings) -> bool:
 
 
 def _time(findings: Findings) -> dict[str, int]:
-    """What the finished units took, and what the whole study will, by the cost of the units that are left."""
-    taken: dict[str, float] = {}
-    guessed: dict[str, float] = {}
-    timed = 0
-    for unit in findings.study.units:
-        result = findings.results.get(unit.name)
-        if result is not None and not result["resumed"]:
-            timed += 1
-            taken[_pace(unit)] = taken.get(_pace(unit), 0.0) + result["seconds"] * result["cores"]
-            guessed[_pace(unit)] = guessed.get(_pace(unit), 0.0) + unit.cost
-    factors = {kind: taken[kind] / guessed[kind] for kind in taken}
-    whole = sum(unit.cost * factors.get(_pace(unit), 1.0) for unit in findings.study.units)
+    """What the finished units took, and what the whole study will."""
+    pace = Pace.of(findings.study.units, findings.results)
     return {
-        "timed_units": timed,
-        "timed_core_seconds": round(sum(taken.values())),
-        "whole_core_seconds": round(whole),
-        "not_timed": sum(_pace(unit) not in factors for unit in findings.study.units),
+        "timed_units": pace.timed,
+        "timed_core_seconds": round(pace.core_seconds),
+        "whole_core_seconds": round(sum(pace.expect(unit) for unit in findings.study.units)),
+        "not_timed": sum(not pace.knows(unit) for unit in findings.study.units),
     }
-
-
-def _pace(unit: Unit) -> str:
-    """What units of one pace have in common."""
-    return f"{unit.kind} {unit.config.algo}" if isinstance(unit, PolicyUnit) else unit.kind
 
 
 # --- as text --------------------------------------------------------------------------------------------
