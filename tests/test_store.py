@@ -1,5 +1,4 @@
 import errno
-import io
 import os
 from pathlib import Path
 from typing import Any
@@ -80,27 +79,6 @@ def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
         path.write_bytes(whole[:length])
         with pytest.raises(PlanspaceError, match=r"f.safetensors is not a readable safetensors file"):
             store.read_arrays(path)
-
-
-def test_a_log_line_that_does_not_fit_leaves_no_part_of_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "log.jsonl"
-    store.append_row(path, {"step": 1})
-    with monkeypatch.context() as patch:
-        patch.setattr(store, "open", _open_short, raising=False)
-        with pytest.raises(PlanspaceError, match=r"cannot write .*log.jsonl: No space left on device"):
-            store.append_row(path, {"step": 2})
-    store.append_row(path, {"step": 3})
-    assert path.read_text() == '{"step": 1}\n{"step": 3}\n'
-
-
-def _open_short(path: Path, mode: str, buffering: int) -> io.FileIO:
-    class Short(io.FileIO):
-        def write(self, data: bytes) -> int:  # pyright: ignore
-            return super().write(data[:4])  # what a full disk does
-
-    return Short(path, mode)
 
 
 def test_a_run_with_other_settings_is_refused_with_the_difference(tmp_path: Path) -> None:

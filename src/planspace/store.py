@@ -187,26 +187,35 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
-    """Appends one JSON line to a log; a line that does not fit on the disk leaves no part of itself."""
+    """Appends one JSON line to a log and flushes it; a line that does not fit leaves no part of itself."""
     with _explain_write(path):
-        size = path.stat().st_size if path.exists() else 0
+        new = not path.exists()
+        size = 0 if new else _drop_part_of_line(path)
         try:
             with open(path, "ab", buffering=0) as file:
                 line = (json.dumps(row) + "\n").encode()
-                if size and not _ends_in_newline(path):
-                    line = b"\n" + line  # the line before was cut off by a crash
                 if file.write(line) != len(line):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(file.fileno())
         except OSError:
             if path.exists():
                 os.truncate(path, size)
             raise
+        if new:
+            _sync_folder(path.parent)
 
 
-def _ends_in_newline(path: Path) -> bool:
-    with open(path, "rb", buffering=0) as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
+def _drop_part_of_line(path: Path) -> int:
+    """Removes a line at the end that a crash cut off; returns the size of what is left."""
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        file.seek(max(size - 1, 0))
+        if file.read(1) in (b"", b"\n"):
+            return size
+        file.seek(0)
+        whole = file.read().rfind(b"\n") + 1
+    os.truncate(path, whole)
+    return whole
 
 
 # --- one folder -------------------------------------------------------------------------------------
@@ -219,7 +228,10 @@ def make_folder(path: Path) -> Path:
         PlanspaceError: it cannot be made or written.
     """
     with _explain_write(path):
+        missing = [folder for folder in (path, *path.parents) if not folder.exists()]
         path.mkdir(parents=True, exist_ok=True)
+        for folder in missing:
+            _sync_folder(folder.parent)
         probe = path / f"{TEMPORARY_PREFIX}probe-{os.getpid()}"
         probe.touch()
         probe.unlink()

@@ -1,0 +1,199 @@
+"""Whatever call to the disk fails, and however: what was saved is there, old or new, and a rerun succeeds."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planspace.checkpoint import load_checkpoint, save_checkpoint
+from planspace.demos.dataset import DemoFolder, Demos, load_demos
+from planspace.embed.curves import read_log
+from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
+from planspace.errors import PlanspaceError
+from planspace.rl.saved_policy import load_policy, save_policies
+from planspace.store import append_row, make_folder, write_bytes
+from planspace.study.execute import WHOLE, folder_of, has_folder, is_done, keep_result, read_result
+from planspace.study.run import open_results
+from planspace.study.unit import PlansUnit
+
+from .disk import FAULTS, Dead, Fault, FaultyDisk, Interrupted
+
+Change = Callable[[Path], None]
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """Something that is saved."""
+
+    prepare: Change
+    """Leaves the old state."""
+    change: Change
+    """Saves the new one over it, or goes on with that."""
+    read: Callable[[Path], Any]
+    """What a reader finds; raises where that is damaged."""
+
+
+def demo_shard(demos: Demos) -> Artefact:
+    episodes = [demos.episode(i) for i in range(6)]
+
+    def grow(root: Path, to: int) -> None:
+        folder = DemoFolder(root / "demos", demos.info, {"seed": 0})
+        if folder.next_index < to:
+            folder.append(episodes[folder.next_index : to], next_index=to)
+
+    def read(root: Path) -> str:
+        return load_demos(root / "demos").hash
+
+    return Artefact(lambda root: grow(root, 3), lambda root: grow(root, 6), read)
+
+
+def first_shard(demos: Demos) -> Artefact:
+    def change(root: Path) -> None:
+        folder = DemoFolder(root / "new" / "demos", demos.info, {"seed": 0})
+        if folder.next_index == 0:
+            folder.append([demos.episode(0)], next_index=1)
+
+    def read(root: Path) -> str | None:
+        path = root / "new" / "demos"
+        return load_demos(path).hash if (path / "manifest.json").exists() else None
+
+    return Artefact(lambda root: None, change, read)
+
+
+def embedding_of(embedding: Embedding) -> Artefact:
+    def change(root: Path) -> None:
+        if not (root / "embedding" / DESCRIPTION).exists():
+            embedding.save(root / "embedding")
+
+    def read(root: Path) -> str | None:
+        path = root / "embedding"
+        return load_embedding(path).hash if (path / DESCRIPTION).exists() else None
+
+    return Artefact(lambda root: None, change, read)
+
+
+def checkpoint() -> Artefact:
+    def tree(step: int) -> dict[str, np.ndarray]:
+        return {"weights": np.full((8, 3), float(step)), "moments": np.full(8, -1.0 * step)}
+
+    def save(root: Path, step: int) -> None:
+        saved = load_checkpoint(root, tree(0))
+        if saved is None or saved[1]["step"] < step:
+            append_row(root / "log.jsonl", {"step": step})
+            save_checkpoint(root, tree(step), {"step": step})
+
+    def read(root: Path) -> tuple[int, list[int]]:
+        saved = load_checkpoint(root, tree(0))
+        assert saved is not None
+        step = saved[1]["step"]
+        for name, array in tree(step).items():
+            np.testing.assert_array_equal(saved[0][name], array)
+        return step, [row["step"] for row in read_log(root) if row["step"] <= step]
+
+    return Artefact(lambda root: save(root, 1), lambda root: save(root, 2), read)
+
+
+def policies() -> Artefact:
+    arrays = {"0.weight": np.ones((1, 1, 2), np.float32), "0.bias": np.zeros((1, 1), np.float32)}
+    arrays["log_std"] = np.zeros((1, 1), np.float32)
+    about = {"seeds": [0], "returns": [1.0], "layer_norm": False, "columns": [0, 2], "num_obs": 2}
+    about |= {"action_low": [-9.0], "action_high": [9.0]}
+
+    def read(root: Path) -> bytes | None:
+        if not (root / "policies.json").exists():
+            return None
+        return load_policy(root)(np.ones(2)).tobytes()
+
+    return Artefact(lambda root: None, lambda root: save_policies(root, arrays, about), read)
+
+
+def study_unit() -> Artefact:
+    unit = PlansUnit("cartpole-swingup", 2)
+    result = {"schema": 1, "kind": "plans of a study", "unit": unit.spec, "found": {"hash": "x", "count": 2}}
+
+    def change(root: Path) -> None:
+        open_results(root / "study")
+        keep_result(unit, root / "study", result)
+        if not has_folder(unit, root / "study"):
+            write_bytes(make_folder(folder_of(unit, root / "study")) / WHOLE, b"")
+
+    def read(root: Path) -> dict[str, Any] | None:
+        return read_result(unit, root / "study") if is_done(unit, root / "study") else None
+
+    return Artefact(lambda root: None, change, read)
+
+
+@pytest.fixture
+def artefacts(demos: Demos, embedding: Embedding) -> dict[str, Artefact]:
+    return {
+        "demo shard": demo_shard(demos),
+        "first demo shard": first_shard(demos),
+        "embedding": embedding_of(embedding),
+        "checkpoint": checkpoint(),
+        "policies": policies(),
+        "study unit": study_unit(),
+    }
+
+
+NAMES = ("demo shard", "first demo shard", "embedding", "checkpoint", "policies", "study unit")
+injected: list[tuple[str, Fault, int]] = []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_crash_point_leaves_old_or_new(
+    name: str, artefacts: dict[str, Artefact], tmp_path: Path
+) -> None:
+    artefact, before, root = artefacts[name], tmp_path / "before", tmp_path / "root"
+    before.mkdir()
+    artefact.prepare(before)
+    old = artefact.read(before)
+    shutil.copytree(before, root)
+    with FaultyDisk(root) as disk:
+        artefact.change(root)
+    new, calls = artefact.read(root), disk.calls
+    assert new != old and calls >= 10
+    for fault in FAULTS:
+        for at in range(1, calls + 1):
+            shutil.rmtree(root)
+            shutil.copytree(before, root)
+            fail(artefact, root, fault, at)
+            assert artefact.read(root) in (old, new), (fault, at)
+            artefact.change(root)
+            assert artefact.read(root) == new, (fault, at)
+            injected.append((name, fault, at))
+
+
+def fail(artefact: Artefact, root: Path, fault: Fault, at: int) -> None:
+    with FaultyDisk(root, fault, at) as disk:
+        if fault in ("ENOSPC", "EIO", "short"):
+            with pytest.raises(PlanspaceError, match=r"^cannot write .*; make room or .* again\.$"):
+                artefact.change(root)
+        else:
+            with pytest.raises(Interrupted if fault == "raise" else Dead):
+                artefact.change(root)
+    assert disk.calls >= at
+
+
+def test_when_a_change_has_ended_no_power_cut_takes_it_back(
+    artefacts: dict[str, Artefact], tmp_path: Path
+) -> None:
+    for name, artefact in artefacts.items():
+        cut, whole = tmp_path / name / "cut", tmp_path / name / "whole"
+        for root in (cut, whole):
+            root.mkdir(parents=True)
+            artefact.prepare(root)
+        artefact.change(whole)
+        with FaultyDisk(cut, "power") as disk:
+            artefact.change(cut)
+            disk.cut_power()
+        assert artefact.read(cut) == artefact.read(whole), name
+
+
+def test_there_were_many() -> None:
+    if {name for name, _, _ in injected} == set(NAMES):
+        assert len(set(injected)) >= 400
+        print(f"{len(injected)} faults, none lost anything")
