@@ -64,6 +64,18 @@ def embedding_folder(demos: Demos, tmp_path_factory: pytest.TempPathFactory) -> 
     return out
 
 
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny study that has been run."""
+    from planspace.study.run import run_study
+
+    from .tiny_study import TINY
+
+    out = tmp_path_factory.mktemp("study") / "out"
+    assert run_study(TINY, out, workers=2) == {}
+    return out
+
+
 @pytest.fixture
 def embedding(embedding_folder: Path) -> Embedding:
     from planspace import load_embedding

@@ -25,6 +25,7 @@ VERBS = [
     "play",
     "study",
     "report",
+    "repair",
     "doctor",
 ]
 
@@ -343,3 +344,15 @@ def test_failed_units_of_a_study_are_listed_even_if_nothing_else_is_there(
     assert main(["study", "paper", "--only", "cartpole, TRPO/raw", "--out", str(tmp_path)]) == 3
     said = capsys.readouterr().err
     assert "1 units failed" in said and "(cartpole, TRPO/raw): lost." in said
+
+
+def test_repair_says_what_it_found(
+    demo_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(demo_folder, tmp_path / "demos")
+    assert call(capsys, "repair", folder) == (0, f"nothing in {folder} is damaged.\n", "")
+    (folder / "shard-00001.safetensors").write_bytes(b"")
+    code, out, _ = call(capsys, "repair", folder)
+    assert code == 0 and "shard-00001.safetensors was altered or damaged" in out
+    assert "The command that made them, run again" in out
+    assert call(capsys, "demos", "validate", folder)[0] == 0

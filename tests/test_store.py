@@ -68,7 +68,7 @@ def test_arrays_and_description_travel_together(tmp_path: Path) -> None:
     for name, array in arrays.items():
         np.testing.assert_array_equal(back[name], array)
         assert back[name].dtype == array.dtype
-    assert store.read_about(tmp_path / "f.safetensors") == {"step": 7}
+    assert store.read_arrays_about(tmp_path / "f.safetensors")[1] == {"step": 7}
 
 
 def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for length in range(len(whole)):
         path.write_bytes(whole[:length])
-        with pytest.raises(PlanspaceError, match=r"f.safetensors is not a readable safetensors file"):
+        with pytest.raises(PlanspaceError, match=r"f.safetensors was altered or damaged: no readable"):
             store.read_arrays(path)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.store import make_folder, read_about, read_arrays, write_arrays
+from planspace.store import make_folder, read_arrays_about, write_arrays
 
 Tree = TypeVar("Tree")
 
@@ -44,7 +44,8 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
     path = folder / FILE
     if not path.exists():
         return None
-    saved, wanted = read_arrays(path), _named_leaves(like)
+    saved, about = read_arrays_about(path)
+    wanted = _named_leaves(like)
     for name, array in wanted.items():
         if name not in saved or saved[name].shape != array.shape or saved[name].dtype != array.dtype:
             raise PlanspaceError(
@@ -57,7 +58,7 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
         for name, leaf in zip(wanted, jax.tree.leaves(arrays), strict=True)
     ]
     restored = jax.tree.unflatten(jax.tree.structure(arrays), leaves)
-    return eqx.combine(restored, rest), read_about(path)
+    return eqx.combine(restored, rest), about
 
 
 def _named_leaves(tree: Any) -> dict[str, np.ndarray]:

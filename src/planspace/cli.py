@@ -654,6 +654,26 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Repair:
+    """Look for damaged files and set them aside, so that the command that made a folder can go on."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DIR")]]
+    """A dataset, an embedding, a training, a run or studies. Nothing is removed: a damaged file stays there
+    as damaged-1-NAME. Of a dataset, the shards before the first damaged one are kept."""
+
+    def __call__(self) -> None:
+        """Prints what was damaged."""
+        from planspace.repair import repair
+
+        lines = repair(self.folder)
+        print("\n".join(lines) or f"nothing in {self.folder} is damaged.")
+        if lines:
+            print(
+                "Damaged files were set aside. The command that made them, run again, makes what is missing."
+            )
+
+
+@dataclass(frozen=True)
 class Doctor:
     """Say what is installed, what is missing, and what to do about it."""
 
@@ -680,6 +700,7 @@ Command = (
     | Annotated[Play, subcommand("play")]
     | Annotated[Study, subcommand("study")]
     | Annotated[Report, subcommand("report")]
+    | Annotated[Repair, subcommand("repair")]
     | Annotated[Doctor, subcommand("doctor")]
 )
 

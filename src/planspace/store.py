@@ -28,6 +28,8 @@ Arrays = dict[str, np.ndarray]
 
 TEMPORARY_PREFIX = ".writing-"
 CHECKSUM_KEY = "checksum"
+INNER = "planspace"
+"""Where a safetensors file keeps what is said about its arrays."""
 CONFIG = "config.json"
 """The settings a run was started with; see `open_run`."""
 
@@ -66,12 +68,17 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: the file is missing, unreadable or no JSON object.
     """
+    data = read_bytes(path)
     try:
-        value = json.loads(read_bytes(path))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        return _json_object(data)
+    except (ValueError, RecursionError) as error:
         raise PlanspaceError(f"{path} is not valid JSON ({error}).") from error
+
+
+def _json_object(data: bytes) -> dict[str, Any]:
+    value = json.loads(data)
     if not isinstance(value, dict):
-        raise PlanspaceError(f"{path} should hold a JSON object, got a {type(value).__name__}.")
+        raise ValueError(f"it should hold an object, got a {type(value).__name__}")
     return value
 
 
@@ -99,13 +106,14 @@ def read_sealed(path: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: missing, not JSON, or altered since it was written.
     """
-    value = read_json(path)
+    data = read_bytes(path)
+    try:
+        value = _json_object(data)
+    except (ValueError, RecursionError) as error:  # numbers of too many digits, too
+        raise damaged(path, f"it is not valid JSON: {error}") from error
     checksum = value.pop(CHECKSUM_KEY, None)
-    if checksum != json_hash(value):
-        raise PlanspaceError(
-            f"{path} does not match its own checksum: it was altered or damaged. "
-            "Restore it from a copy, or make the folder again."
-        )
+    if checksum != json_hash(value) or not data.endswith(b"\n"):
+        raise damaged(path, "it does not match its own checksum")
     return value
 
 
@@ -124,6 +132,8 @@ def read_described(path: Path, *, kind: str, schema: int, name: str) -> dict[str
     text = read_sealed(path)
     if text.get("kind") != kind:
         raise PlanspaceError(f"{path} describes no {name}.")
+    if not isinstance(text.get("schema"), int):
+        raise damaged(path, "it names no schema")
     if text["schema"] > schema:
         raise PlanspaceError(
             f"{path.parent} was written by a newer planspace (schema {text['schema']}, this one reads up to "
@@ -133,7 +143,7 @@ def read_described(path: Path, *, kind: str, schema: int, name: str) -> dict[str
 
 
 def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None = None) -> str:
-    """Writes named arrays as one safetensors file.
+    """Writes named arrays as one safetensors file, which holds a checksum of its own content.
 
     Args:
         path: the file.
@@ -144,8 +154,9 @@ def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None 
         The SHA-256 of the file.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    metadata = {"about": json.dumps(about, sort_keys=True)} if about is not None else None
-    data = safetensors.numpy.save(contiguous, metadata=metadata)
+    plain = json.loads(json.dumps(about))
+    inner = {"about": plain, CHECKSUM_KEY: _arrays_hash(contiguous, plain)}
+    data = safetensors.numpy.save(contiguous, metadata={INNER: json.dumps(inner, sort_keys=True)})
     write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
 
@@ -155,35 +166,50 @@ def read_arrays(path: Path, *, sha256: str | None = None) -> Arrays:
 
     Args:
         path: the file.
-        sha256: what its hash must be; not checked if None.
+        sha256: what its hash must be; None trusts the checksum in the file, which finds damage alone.
 
     Raises:
         PlanspaceError: missing, damaged, or its hash is another.
     """
-    data = read_bytes(path)
-    if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
-        raise PlanspaceError(
-            f"{path} was altered or damaged: its SHA-256 is not the one recorded for it. "
-            "Restore it from a copy, or make the folder again."
-        )
-    try:
-        return safetensors.numpy.load(data)
-    except (safetensors.SafetensorError, ValueError, KeyError) as error:
-        raise PlanspaceError(f"{path} is not a readable safetensors file ({error}).") from error
+    return _read_arrays(path, sha256)[0]
 
 
-def read_about(path: Path) -> dict[str, Any]:
-    """Reads the plain data kept in a safetensors file by `write_arrays`.
+def read_arrays_about(path: Path) -> tuple[Arrays, dict[str, Any]]:
+    """Reads the arrays of a safetensors file, and the plain data that `write_arrays` kept with them.
 
     Raises:
         PlanspaceError: missing, damaged, or written without it.
     """
+    arrays, about = _read_arrays(path, None)
+    if not isinstance(about, dict):
+        raise PlanspaceError(f"{path} does not hold the description expected in it.")
+    return arrays, about
+
+
+def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
     data = read_bytes(path)
+    if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
+        raise damaged(path, "its SHA-256 is not the one recorded for it")
     try:
+        arrays = safetensors.numpy.load(data)
         size = int.from_bytes(data[:8], "little")
-        return json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["about"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise PlanspaceError(f"{path} does not hold the description expected in it.") from error
+        metadata = json.loads(data[8 : 8 + size]).get("__metadata__")
+        inner = None if metadata is None else json.loads(metadata[INNER])
+    except (safetensors.SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise damaged(path, f"no readable safetensors file ({error})") from error
+    if inner is None and sha256 is not None:  # of somebody else, who vouches for it
+        return arrays, None
+    if not isinstance(inner, dict) or inner.get(CHECKSUM_KEY) != _arrays_hash(arrays, inner.get("about")):
+        raise damaged(path, "it does not match its own checksum")
+    return arrays, inner["about"]
+
+
+def _arrays_hash(arrays: Arrays, about: Any) -> str:
+    digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
@@ -216,6 +242,25 @@ def _drop_part_of_line(path: Path) -> int:
         whole = file.read().rfind(b"\n") + 1
     os.truncate(path, whole)
     return whole
+
+
+def is_row(line: bytes) -> bool:
+    """Whether a line of a log can be read."""
+    try:
+        return isinstance(json.loads(line), dict)
+    except (ValueError, RecursionError):
+        return False
+
+
+def move(file: Path, to: Path) -> None:
+    """Renames a file within its folder.
+
+    Raises:
+        PlanspaceError: it cannot be renamed.
+    """
+    with _explain_write(to):
+        os.replace(file, to)
+        _sync_folder(file.parent)
 
 
 # --- one folder -------------------------------------------------------------------------------------
@@ -293,6 +338,31 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+# --- damage ----------------------------------------------------------------------------------------
+
+
+def damaged(path: Path, what: str) -> PlanspaceError:
+    """Builds the error for a file that is not what was written."""
+    return PlanspaceError(
+        f"{path} was altered or damaged: {what}. Restore it from a copy; or `planspace repair "
+        f"{path.parent}` sets it aside, and the command that made it makes it again."
+    )
+
+
+@contextlib.contextmanager
+def refusing_nonsense(path: Path) -> Iterator[None]:
+    """Turns what a file that makes no sense leads to into an error that names the file.
+
+    Raises:
+        PlanspaceError: something in it is missing, or of another kind, size or range than it should be.
+    """
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        text = " ".join(str(error).split())[:200]
+        raise damaged(path, f"it makes no sense ({type(error).__name__}: {text})") from error
 
 
 # --- hashes -----------------------------------------------------------------------------------------

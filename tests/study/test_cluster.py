@@ -16,7 +16,7 @@ from planspace.study.cluster import check_cluster, files_in, lay_down, ray_pool
 from planspace.study.execute import is_done
 from planspace.study.run import run_study
 
-from .conftest import FIT, PLANS, TINY, what_was_found
+from ..tiny_study import FIT, PLANS, TINY, what_was_found
 
 LOCAL = "127.0.0.1"
 KILLED = "ray::run_remotely"

@@ -27,7 +27,7 @@ from planspace.study.stats import Scores
 from planspace.study.summary import Findings, as_text, read_findings, summarise
 from planspace.study.unit import PolicyUnit, Unit
 
-from .conftest import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, what_was_found
+from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, what_was_found
 
 PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
@@ -187,7 +187,9 @@ def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
 def test_a_damaged_result_is_refused_by_name(copied: Path) -> None:
     file = copied / "units" / f"{policy(0).name}.json"
     file.write_text(file.read_text().replace('"seeds": [0]', '"seeds": [7]'))
-    with pytest.raises(PlanspaceError, match=f"{file.name} does not match its own checksum"):
+    with pytest.raises(
+        PlanspaceError, match=f"{file.name} was altered or damaged: it does not match its own"
+    ):
         read_findings(TINY, copied)
 
 
@@ -240,7 +242,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {root!r})
 from planspace.study.run import run_study
-from tests.study.conftest import TINY
+from tests.tiny_study import TINY
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background

@@ -10,8 +10,9 @@ An episode has T + 1 states and times and T controls: control k is held from sta
 import hashlib
 import json
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from planspace.store import (
     make_folder,
     read_arrays,
     read_described,
+    refusing_nonsense,
     write_arrays,
     write_sealed,
 )
@@ -35,6 +37,8 @@ from planspace.store import (
 SCHEMA = 1
 MANIFEST = "manifest.json"
 MINARI_PREFIX = "minari:"
+ARRAYS = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
+"""What a shard holds."""
 SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
 """Shares of the demonstrations; the rest is the test split."""
 
@@ -251,7 +255,7 @@ class DemoFolder:
         self.shards: list[dict[str, Any]] = []
         self.next_index = 0
         if (path / MANIFEST).exists():
-            manifest = _read_manifest(path)
+            manifest, _ = _described(path)
             if manifest["settings"] != json.loads(json.dumps(settings)):
                 was = "; ".join(differences(manifest["settings"], settings))
                 raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
@@ -304,17 +308,98 @@ def load_demos(path: str | Path) -> Demos:
 
         return minari_demos(str(path))
     path = Path(path)
-    manifest = _read_manifest(path)
-    if not manifest["shards"]:
+    manifest, info = _described(path)
+    with refusing_nonsense(path / MANIFEST):
+        parts = [_read_shard(path, shard, info) for shard in manifest["shards"]]
+    if not parts:
         raise PlanspaceError(f"{path} holds no demonstrations.")
-    parts = [read_arrays(path / shard["file"], sha256=shard["sha256"]) for shard in manifest["shards"]]
-    info: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in manifest["info"].items()}
     lengths = np.concatenate([np.diff(part["offsets"]) for part in parts])
     return Demos(
-        info=StateInfo(**info),
+        info=info,
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        **{key: np.concatenate([part[key] for part in parts]) for key in parts[0] if key != "offsets"},
+        **{key: np.concatenate([part[key] for part in parts]) for key in ARRAYS if key != "offsets"},
     )
+
+
+def keep_whole_shards(path: Path) -> list[tuple[Path, str]]:
+    """Leaves out the shards from the first damaged one on; the same command makes them again.
+
+    Args:
+        path: the dataset's folder.
+
+    Returns:
+        The damaged shard, which the manifest no longer names, and what is wrong with it.
+
+    Raises:
+        PlanspaceError: the manifest itself is damaged.
+    """
+    manifest, info = _described(path)
+    next_index = 0
+    for number, shard in enumerate(manifest["shards"]):
+        try:
+            with refusing_nonsense(path / MANIFEST):
+                next_index = int(_read_shard(path, shard, info)["indices"][-1]) + 1
+        except PlanspaceError as error:
+            kept = {"shards": manifest["shards"][:number], "next_index": next_index}
+            write_sealed(path / MANIFEST, {**manifest, **kept})
+            return [(path / Path(str(shard["file"])).name, str(error))]
+    return []
+
+
+def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
+    """A dataset's manifest, and what it says of the states."""
+    manifest = _read_manifest(path)
+    with refusing_nonsense(path / MANIFEST):
+        known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
+        known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
+        info = StateInfo(**known)
+        _check_info(info)
+        _ = manifest["settings"], int(manifest["next_index"])
+        _ = [(shard["file"], shard["sha256"], int(shard["episodes"])) for shard in manifest["shards"]]
+    return manifest, info
+
+
+def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str, np.ndarray]:
+    """Reads and verifies a shard of which the manifest says this."""
+    if not re.fullmatch(r"shard-\d{5,9}\.safetensors", str(shard["file"])):
+        raise ValueError(f"{shard['file']!r} is no name of a shard")
+    file = path / shard["file"]
+    arrays = read_arrays(file, sha256=str(shard["sha256"]))
+    with refusing_nonsense(file):
+        _check_arrays(arrays, shard, info)
+    return arrays
+
+
+def _check_info(info: StateInfo) -> None:
+    size, angles = len(info.names), (*info.circular_columns, *info.quaternion_columns)
+    texts = (*info.names, *info.units, *info.joints, info.problem, info.mjcf)
+    numbers = (*angles, info.num_controls)
+    if not all(isinstance(text, str) for text in texts) or not all(type(n) is int for n in numbers):
+        raise TypeError("what it says of the states is of the wrong kinds")
+    if not size or len(info.units) != size or not all(0 <= column < size for column in angles):
+        raise ValueError("what it says of the states does not fit together")
+
+
+def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: StateInfo) -> None:
+    num, rows = int(shard["episodes"]), int(shard["states"])
+    shapes = {
+        "states": (rows, len(info.names)),
+        "controls": (rows - num, info.num_controls),
+        "times": (rows,),
+        "offsets": (num + 1,),
+        "goals": (num, len(info.names)),
+        **dict.fromkeys(("success", "indices", "seeds", "costs"), (num,)),
+    }
+    for name, shape in shapes.items():
+        kind = {"offsets": "i", "indices": "i", "seeds": "i", "success": "b"}.get(name, "f")
+        if arrays[name].shape != shape or arrays[name].dtype.kind != kind:
+            raise ValueError(f"{name} has shape {arrays[name].shape} and type {arrays[name].dtype}")
+    offsets = arrays["offsets"]
+    if offsets[0] != 0 or offsets[-1] != rows or not (np.diff(offsets) > 0).all():
+        raise ValueError("its demonstrations do not lie end to end")
+    for name in ("states", "controls", "times"):
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} holds a number that is not finite")
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
@@ -325,8 +410,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _arrays(demos: Demos) -> dict[str, np.ndarray]:
-    names = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
-    return {name: getattr(demos, name) for name in names}
+    return {name: getattr(demos, name) for name in ARRAYS}
 
 
 def _check_episode(info: StateInfo, episode: Episode) -> None:

@@ -48,7 +48,9 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
         except (ValueError, KeyError, TypeError) as error:
             if number == len(lines):
                 break
-            raise PlanspaceError(f"{path}, line {number} is damaged ({error}); remove the line.") from error
+            raise PlanspaceError(
+                f"{path}, line {number} is damaged ({error}); `planspace repair {folder}` leaves it out."
+            ) from error
     return [rows[step] for step in sorted(rows)]
 
 

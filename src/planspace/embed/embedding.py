@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,6 +26,7 @@ from planspace.store import (
     make_folder,
     read_arrays,
     read_described,
+    refusing_nonsense,
     write_arrays,
     write_sealed,
 )
@@ -43,6 +44,7 @@ APART = 8
 """So many rows or more on the last axis of a batch with several are multiplied apart from the others."""
 
 InputForm = Literal["raw", "standard", "trig"]
+INPUT_FORMS: tuple[InputForm, ...] = get_args(InputForm)
 
 
 @dataclass(frozen=True)
@@ -362,28 +364,58 @@ def load_embedding(path: str | Path) -> Embedding:
             raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
     text = read_described(path / DESCRIPTION, kind="embedding", schema=SCHEMA, name="embedding")
+    with refusing_nonsense(path / DESCRIPTION):
+        embedding = _assembled(path, text)
+        _try_out(embedding, text["z_dim"])
+    return embedding
+
+
+def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
     if text["architecture"] != ARCHITECTURE:
         raise PlanspaceError(
             f"{path / DESCRIPTION} names the architecture {text['architecture']!r}; this planspace knows "
             f"{ARCHITECTURE!r} alone."
         )
-    arrays = read_arrays(path / WEIGHTS, sha256=text["weights_sha256"])
+    arrays = read_arrays(path / WEIGHTS, sha256=str(text["weights_sha256"]))
     bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if bad:
         raise PlanspaceError(f"{path / WEIGHTS}: {bad[0]} holds a number that is not finite.")
     support = None
     if "support" in arrays:
-        support = Support(arrays["support"], arrays["support_scale"], text["support_radius"])
-    inputs: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in text["inputs"].items()}
+        support = Support(arrays["support"], arrays["support_scale"], float(text["support_radius"]))
+    inputs = {key: text["inputs"][key] for key in ("names", "units", "circular_columns")}
+    if not all(isinstance(name, str) for name in (*inputs["names"], *inputs["units"])):
+        raise TypeError("the names of its inputs are no texts")
     return Embedding(
-        inputs=Inputs(**inputs, mean=arrays["mean"], deviation=arrays["deviation"]),
+        inputs=Inputs(
+            **{key: tuple(value) for key, value in inputs.items()},
+            form=INPUT_FORMS[INPUT_FORMS.index(text["inputs"]["form"])],
+            mean=arrays["mean"],
+            deviation=arrays["deviation"],
+        ),
         encoder=_layers(arrays, "encoder"),
         decoder=_layers(arrays, "decoder"),
-        sigma_floor=text["sigma_floor"],
+        sigma_floor=float(text["sigma_floor"]),
         turn=Turn(arrays["turn.matrix"], arrays["turn.centre"]) if "turn.matrix" in arrays else None,
         support=support,
-        about=text["about"],
+        about=dict(text["about"]),
     )
+
+
+def _try_out(embedding: Embedding, z_dim: int) -> None:
+    """Sees that the parts fit together, as the description says."""
+    inputs, layers = embedding.inputs, (*embedding.encoder[0], *embedding.decoder[0])
+    angles = inputs.circular_columns
+    if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
+        raise ValueError("an angle is no column of the state")
+    if not layers or len(inputs.units) != len(inputs.names) or not (inputs.deviation > 0).all():
+        raise ValueError("its inputs or its networks are not whole")
+    state = np.zeros((2, len(inputs.names)))
+    z = embedding.encode(state)
+    if z.shape != (2, z_dim) or embedding.decode(z).shape != state.shape:
+        raise ValueError("its networks have other sizes than it says")
+    if embedding.support is not None:
+        embedding.outside_support(state)
 
 
 def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:

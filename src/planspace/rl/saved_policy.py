@@ -5,6 +5,7 @@ RUN/policies.json          the arm they were trained on, and what each seed earn
 RUN/embedding/             what makes z, for an arm that has it; of several, RUN/embedding-0/ and so on
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,10 +16,19 @@ from jaxtyping import Float
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Stack
-from planspace.store import Arrays, read_arrays, read_described, write_arrays, write_sealed
+from planspace.store import (
+    Arrays,
+    read_arrays,
+    read_described,
+    refusing_nonsense,
+    write_arrays,
+    write_sealed,
+)
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
+MAX_OBS = 100_000
+"""Numbers in an observation; a file that says more is not believed."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +98,21 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
             f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
         )
     about = read_described(run / DESCRIPTION, kind="policies", schema=SCHEMA, name="policies")
+    with refusing_nonsense(run / DESCRIPTION):
+        return _assembled(run, about, seed)
+
+
+def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) -> Policy:
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
     returns = [-np.inf if x is None else x for x in about["returns"]]  # none: it was not finite
     i = int(np.argmax(returns)) if seed == "best" else seeds.index(seed)
-    arrays = {k: v[i : i + 1] for k, v in read_arrays(run / WEIGHTS, sha256=about["weights_sha256"]).items()}
+    every_seed = read_arrays(run / WEIGHTS, sha256=str(about["weights_sha256"]))
+    arrays = {name: array[i : i + 1] for name, array in every_seed.items()}
+    bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+    if bad:
+        raise PlanspaceError(f"{run / WEIGHTS}: {bad[0]} holds a number that is not finite.")
     layers = range(sum(name.endswith(".weight") for name in arrays))
     network = Stack(
         [arrays[f"{n}.weight"] for n in layers],
@@ -104,4 +123,11 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
     if "num" in arrays:
         statistics = ObsStatistics(arrays["num"], arrays["mean"], arrays["squares"])
     std = np.exp(arrays["log_std"][0])
-    return Policy(run, about, seeds[i], network, std, slice(*about["columns"]), statistics)
+    policy = Policy(run, about, seeds[i], network, std, slice(*about["columns"]), statistics)
+    if not all(re.fullmatch(rf"{EMBEDDING}(-\d+)?", name) for name in about.get("embeddings", ())):
+        raise ValueError("it names an embedding outside its run")
+    if not 0 < about["num_obs"] <= MAX_OBS:
+        raise ValueError(f"it observes {about['num_obs']} numbers")
+    if policy(np.zeros((2, about["num_obs"]), np.float32)).shape != (2, len(std)):
+        raise ValueError("its network has other sizes than it says")
+    return policy

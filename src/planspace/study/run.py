@@ -39,9 +39,8 @@ def units_to_run(study: Study, out: Path) -> list[Unit]:
             visit(need, True)
         todo[unit.name] = unit
 
-    for arm in study.arms:
-        for unit in arm.units:
-            visit(unit, False)
+    for unit in study.units:
+        visit(unit, False)
     return list(todo.values())
 
 

@@ -3,13 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from planspace.embed.config import PRESETS
 from planspace.rl.config import TrainConfig
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import read_result
-from planspace.study.run import run_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
@@ -35,10 +32,3 @@ TINY = Study(
 
 def what_was_found(study: Study, out: Path) -> dict[str, dict]:
     return {unit.name: read_result(unit, out)["found"] for unit in study.units}
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("study") / "out"
-    assert run_study(TINY, out, workers=2) == {}
-    return out
