@@ -79,6 +79,8 @@ class Plan:
     """Time for each search. Counting rounds instead makes the same plans on every machine."""
     settings: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")]] = ()
     """Further settings of the planner, such as min_rounds=60, polish_max_blocks=100, ompl_goal_bias=0.2."""
+    untrusted: bool = False
+    """The model comes from strangers: read it in a process of its own, in bounded memory and time."""
 
     def __call__(self) -> None:
         """Plans and says what came of it."""
@@ -92,7 +94,7 @@ class Plan:
             raise UsageError(
                 "--num must be at least 1; --restarts, --seconds, --workers and --seed must not be negative."
             )
-        problem = load_problem(self.problem)
+        problem = load_problem(self.problem, untrusted=self.untrusted)
         if self.cost not in ("", "duration", "effort"):
             raise unknown("cost", self.cost, ["duration", "effort"])
         problem = replace(problem, cost=self.cost) if self.cost else problem
@@ -136,6 +138,8 @@ class DemosValidate:
     """A dataset folder."""
     replay: bool = False
     """Roll the controls out in plain MuJoCo and compare."""
+    untrusted: bool = False
+    """Its model comes from strangers: try it first in a process of its own, in bounded memory and time."""
     json: bool = False
     """Print JSON."""
 
@@ -143,7 +147,8 @@ class DemosValidate:
         """Prints what was checked."""
         from planspace.demos.describe import validate
 
-        _print(validate(self.folder, replay_controls=self.replay), self.json)
+        found = validate(self.folder, replay_controls=self.replay, untrusted=self.untrusted)
+        _print(found, self.json)
 
 
 @dataclass(frozen=True)
@@ -183,14 +188,20 @@ class DemosRender:
     """Height of the picture."""
     camera: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the model's first)")] = ""
     """A camera of the model; one that shows all of it where the model has none."""
+    untrusted: bool = False
+    """Its model comes from strangers: try it first in a process of its own, in bounded memory and time."""
 
     def __call__(self) -> None:
         """Films it."""
         from planspace.demos.dataset import load_demos
         from planspace.demos.render import FilmConfig, render_demos
+        from planspace.physics.apart import compile_apart
 
         config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
-        render_demos(load_demos(self.folder), self.out, config)
+        demos = load_demos(self.folder)
+        if self.untrusted:
+            compile_apart(demos.info.mjcf)
+        render_demos(demos, self.out, config)
         print(self.out)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from planspace.demos.dataset import MANIFEST, MINARI_PREFIX, Demos, load_demos
 from planspace.errors import PlanspaceError
+from planspace.physics.apart import compile_apart
 from planspace.physics.simulate import replay
 from planspace.store import read_sealed
 
@@ -33,8 +34,13 @@ def describe(folder: Path) -> dict[str, Any]:
     }
 
 
-def validate(folder: Path, *, replay_controls: bool) -> dict[str, Any]:
+def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) -> dict[str, Any]:
     """Verifies hashes, finite numbers, rising times, and on request that the controls replay.
+
+    Args:
+        folder: the dataset's.
+        replay_controls: whether to replay them in its model.
+        untrusted: whether to try the model first in a process of its own.
 
     Raises:
         PlanspaceError: something does not hold; the shard or demonstration is named.
@@ -47,6 +53,8 @@ def validate(folder: Path, *, replay_controls: bool) -> dict[str, Any]:
             raise PlanspaceError(f"{folder}: the times of demonstration {i} do not rise.")
     found: dict[str, Any] = {"demonstrations": len(demos), "hash": demos.hash}
     if replay_controls:
+        if untrusted:
+            compile_apart(demos.info.mjcf)
         errors = replay_errors(demos)
         if errors.max() > REPLAY_TOLERANCE:
             raise PlanspaceError(

@@ -8,11 +8,10 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, unknown
+from planspace.physics.guard import FILE_ATTRIBUTES, check_asset, parse_model
 from planspace.store import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
-FILE_ATTRIBUTES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
-"""Attributes that name a file; the last six are a cube texture's."""
 
 
 def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
@@ -30,6 +29,9 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
     """
     text = read_text(path)
     files = _referred_files(path)
+    for file in files:
+        if file.exists():  # of the places where it may lie
+            check_asset(file)
     try:
         spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
         known = [joint.name for joint in spec.joints]
@@ -109,13 +111,7 @@ def _referred_files(path: Path) -> list[Path]:
 
 
 def _root(path: Path) -> ElementTree.Element:
-    try:
-        root = ElementTree.fromstring(read_text(path))
-    except ElementTree.ParseError as error:
-        raise PlanspaceError(f"{path} is not well-formed XML: {error}.") from error
-    if root.tag not in ("mujoco", "mujocoinclude"):
-        raise PlanspaceError(f"{path} is no MJCF model: it begins with <{root.tag}>.")
-    return root
+    return parse_model(read_text(path), str(path))
 
 
 def _inside(path: Path, folder: Path, place: str, name: str) -> Path:

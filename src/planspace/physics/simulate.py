@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
 from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.physics.guard import check_self_contained
 from planspace.physics.space import StateSpace
 
 ASSETS = Path(__file__).parent.parent / "assets"
@@ -57,7 +58,7 @@ FREE = Validity()
 
 
 def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
-    """Compiles an MJCF text, with MuJoCo's silent reset of diverged states switched off.
+    """Compiles an MJCF text which is whole, with MuJoCo's silent reset of diverged states switched off.
 
     Args:
         xml: the model.
@@ -65,8 +66,10 @@ def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
             the model, which does not change its dynamics.
 
     Raises:
-        PlanspaceError: MuJoCo does not accept it; the message is MuJoCo's.
+        PlanspaceError: it refers to files, asks for too much, or MuJoCo does not accept it; the message is
+            then MuJoCo's.
     """
+    check_self_contained(xml)
     try:
         if not watched:
             model = mujoco.MjModel.from_xml_string(xml)

@@ -2,7 +2,7 @@
 
 import math
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
@@ -12,11 +12,14 @@ import numpy as np
 import yaml
 
 from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.physics.apart import read_model_apart
 from planspace.physics.mjcf import read_model
 from planspace.physics.simulate import ASSETS, GeomPairs, Simulator, control_bounds, load_model
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.plan.problem import Box, Problem
 from planspace.store import read_bytes
+
+ReadModel = Callable[[Path, Sequence[str] | None], str]
 
 MAX_FILE_BYTES = 1 << 20
 MAX_SHOWN = 80
@@ -42,12 +45,14 @@ def shipped_problems() -> list[str]:
     return sorted(path.stem for path in ASSETS.glob("*.yaml"))
 
 
-def load_problem(name_or_file: str) -> Problem:
+def load_problem(name_or_file: str, *, untrusted: bool = False) -> Problem:
     """Reads a shipped problem by name, or a problem file; the layout of 2020 is understood too.
 
     Args:
         name_or_file: a name of `shipped_problems()`, or the path of a YAML file; a model named in a file
             is looked for beside it.
+        untrusted: whether the model of a file comes from strangers: it is read in a process of its own, in
+            bounded memory and time.
 
     Raises:
         UsageError: no such problem (the nearest name is suggested), or an unknown key.
@@ -56,23 +61,24 @@ def load_problem(name_or_file: str) -> Problem:
     if name_or_file in shipped_problems():
         return _read_problem(ASSETS / f"{name_or_file}.yaml")
     if name_or_file.endswith((".yaml", ".yml")):
-        return _read_problem(Path(name_or_file))
+        return _read_problem(Path(name_or_file), read_model_apart if untrusted else read_model)
     if Path(name_or_file).is_file():
         raise UsageError(f"{name_or_file} is no problem file: its name should end in .yaml.")
     raise unknown("problem", name_or_file, shipped_problems())
 
 
-def _read_problem(path: Path) -> Problem:
+def _read_problem(path: Path, read: ReadModel = read_model) -> Problem:
     settings = _read_yaml(path)
+    layout = _from_2020 if "mujoco_config" in settings else _from_keys
     try:
-        problem = _from_2020(path, settings) if "mujoco_config" in settings else _from_keys(path, settings)
+        problem = layout(path, settings, read)
     except ValueError as error:
         raise PlanspaceError(f"{path}: {error}") from error
     _check(problem, path)
     return problem
 
 
-def _from_keys(path: Path, settings: dict[str, Any]) -> Problem:
+def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem:
     required = {"model", "joints", "start", "goal", "tolerance"}
     known = {f.name for f in fields(Problem)} - {"name", "mjcf", "goal_random", "predicate"} | required
     _check_keys(path, settings, known, required)
@@ -80,7 +86,7 @@ def _from_keys(path: Path, settings: dict[str, Any]) -> Problem:
     goal, goal_random = _read(settings, "goal", _goal)
     return Problem(
         name=path.stem,
-        mjcf=read_model(_beside(path, _read(settings, "model", _text)), joints),
+        mjcf=read(_beside(path, _read(settings, "model", _text)), joints),
         joints=joints,
         start=_read(settings, "start", _box),
         goal=goal,
@@ -101,14 +107,14 @@ def _from_keys(path: Path, settings: dict[str, Any]) -> Problem:
     )
 
 
-def _from_2020(path: Path, settings: dict[str, Any]) -> Problem:
+def _from_2020(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem:
     """Reads the layout of the 2020 planner.
 
     All joints of the model are planned for, starts lie within `start_range` of `start`. The radii and the
     time limit belong to OMPL's metric and planner, so they go to that one; ours takes its own settings.
     """
     _check_keys(path, settings, KEYS_2020, {"mujoco_config", "start", "goal"})
-    mjcf = read_model(_beside(path, _read(settings, "mujoco_config", _text)))
+    mjcf = read(_beside(path, _read(settings, "mujoco_config", _text)), None)
     model = load_model(mjcf)
     center = np.array(_read(settings, "start", _numbers))
     reach = np.abs(_read(settings, "start_range", _numbers, (0.0,) * len(center)))

@@ -106,7 +106,7 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
-    returns = [-np.inf if x is None else x for x in about["returns"]]  # none: it was not finite
+    returns = [-np.inf if x is None else float(x) for x in about["returns"]]  # none: it was not finite
     i = int(np.argmax(returns)) if seed == "best" else seeds.index(seed)
     every_seed = read_arrays(run / WEIGHTS, sha256=str(about["weights_sha256"]))
     arrays = {name: array[i : i + 1] for name, array in every_seed.items()}
