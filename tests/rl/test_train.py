@@ -1,4 +1,3 @@
-import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -219,32 +218,6 @@ def test_a_seed_learns_the_same_alone_and_beside_others(
     for key in (*module.HISTORY_KEYS, module.EVALUATION):
         np.testing.assert_array_equal(beside[key][:, 3], alone[key][:, 0])  # bit for bit
     assert (beside["return"][:, 2] != beside["return"][:, 3]).all()
-
-
-@pytest.mark.parametrize(("algo", "preset"), [("trpo", "paper"), ("ppo", "modern")])
-def test_from_every_checkpoint_on_it_ends_the_same(
-    algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "BATCH_STEPS", 1000)
-    monkeypatch.setattr(module, "CHECKPOINT_EVERY", 1)
-    copies, save = [], module.save_checkpoint
-
-    def keep(folder: Path, tree: object, about: dict) -> None:
-        save(folder, tree, about)
-        copies.append(tmp_path / f"after-{about['iteration']}")
-        shutil.copytree(folder, copies[-1])
-
-    monkeypatch.setattr(module, "save_checkpoint", keep)
-    config = TrainConfig("cartpole", algo, preset=preset, num_seeds=2, steps=4 * BATCH_STEPS, eval_every=2)
-    whole = train(config, tmp_path / "whole")
-    policies = (tmp_path / "whole" / "policies.safetensors").read_bytes()
-    monkeypatch.setattr(module, "save_checkpoint", save)
-    assert len(copies) == 4
-    for copy in copies:
-        resumed = train(config, copy)
-        for key, expected in whole.items():
-            np.testing.assert_array_equal(resumed[key], expected)
-        assert (copy / "policies.safetensors").read_bytes() == policies
 
 
 def test_evaluations_are_apart_from_training(tmp_path: Path) -> None:
