@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 import planspace
-from planspace.cores import count_cores, one_thread_each
+from planspace.cores import count_cores, end_with_parent, one_thread_each
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
@@ -183,7 +183,7 @@ def _plan_all(
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
     with (
         one_thread_each(),
-        ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt) as pool,
+        ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as pool,
     ):
         futures = [pool.submit(plan_one, problem, config, seed, i) for i in indices]
         try:
@@ -194,6 +194,7 @@ def _plan_all(
             raise
 
 
-def _ignore_interrupt() -> None:
-    """Leaves Ctrl-C to the parent, which stops the workers after the plan they are at."""
+def _start_worker() -> None:
+    """Leaves Ctrl-C to the parent, which stops the workers after the plan they are at, and ends with it."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planspace.cores import end_with_parent
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulate import Simulator
 from planspace.plan.problem import Goal, Problem
@@ -161,6 +162,7 @@ def _child(
     seed: int,
 ) -> None:
     """Runs in the process: plans, answers, and leaves at once, before OMPL's destructors can crash."""
+    end_with_parent()
     with open(os.devnull, "w") as quiet:
         os.dup2(quiet.fileno(), 1)
     try:

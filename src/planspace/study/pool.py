@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from planspace.cores import available_cores, one_thread_each
+from planspace.cores import available_cores, end_with_parent, one_thread_each
 from planspace.errors import PlanspaceError
 from planspace.store import read_json, write_json
 from planspace.study.execute import execute
@@ -111,7 +110,7 @@ def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
     """A worker's life: one unit."""
     os.setpgid(0, 0)  # Ctrl-C is the parent's to hear, who then says so
     signal.signal(signal.SIGTERM, _interrupt)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    end_with_parent()
     cores = available_cores()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores[slot::workers] or cores)
@@ -135,10 +134,3 @@ def named(error: Exception) -> str:
 
 def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
-
-
-def _die_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(INTERRUPTED)

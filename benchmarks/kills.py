@@ -1,0 +1,184 @@
+"""Every long command killed with SIGKILL again and again, and run again each time, beside one left alone.
+
+    python benchmarks/kills.py [--kills N] [--scale small|long] [--only plan,embed,train,study] [--out DIR]
+
+The one that is killed has another hash seed, working folder and locale, and on the small scale one core; XLA
+computes on one thread in both (NPROC=1). Prints, for each command, whether both ended with the same content,
+and what the kills cost: work is time without that of a run with nothing left to do, which starts Python alone.
+Ends with 1 if anything differs. The long scale takes about an hour on two cores, the small one is in the tests.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from planspace.cores import ONE_THREAD
+from planspace.demos.dataset import load_demos
+from planspace.embed.embedding import load_embedding
+from planspace.store import read_arrays
+
+MEASURED = ("seconds", "resumed", "checksum", "cores", "saved", "time")
+"""What results and logs say of the clock and the machine, and the seal over them."""
+Content = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command that can be killed."""
+
+    words: Callable[[Path, Path], list[str]]
+    """What follows `planspace`, for the folder of what it reads and its own."""
+    small: str
+    long: str
+    content: Callable[[Path], Content]
+
+    def line(self, scale: str, given: Path, out: Path) -> list[str]:
+        """The whole command."""
+        options = (self.small if scale == "small" else self.long).split()
+        return [sys.executable, "-m", "planspace", *self.words(given, out), *options, "--out", str(out)]
+
+
+def of_demos(out: Path) -> Content:
+    return {"hash": load_demos(out).hash}
+
+
+def of_log(out: Path, key: str) -> Content:
+    rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    return {f"row {row[key]}": {k: v for k, v in row.items() if k not in MEASURED} for row in rows}
+
+
+def of_embedding(out: Path) -> Content:
+    return {"hash": load_embedding(out).hash, **of_log(out, "step")}
+
+
+def of_training(out: Path) -> Content:
+    files = (out / "history.safetensors", out / "policies.safetensors")
+    return {k: v.tobytes() for file in files for k, v in read_arrays(file).items()} | of_log(out, "iteration")
+
+
+def of_study(out: Path) -> Content:
+    found = {}
+    for file in sorted((out / "units").glob("*.json")):  # not what a kill left half written
+        result = json.loads(file.read_text())
+        found[file.name] = {key: value for key, value in result.items() if key not in MEASURED}
+    (tables,) = out.glob("*/tables.json")
+    summary = json.loads(tables.read_text())
+    return {**found, "tables": {key: value for key, value in summary.items() if key != "time"}}
+
+
+COMMANDS = {
+    "plan": Command(
+        lambda given, out: ["plan", "cartpole-swingup"],
+        "--num 20 --restarts 1 --settings polish_max_iterations=10",
+        "--num 1000",
+        of_demos,
+    ),
+    "embed": Command(
+        lambda given, out: ["embed", str(given / "plan")],
+        "--steps 600 --batch 64 --seeds 2",
+        "--steps 60000 --seeds 3",
+        of_embedding,
+    ),
+    "train": Command(
+        lambda given, out: ["train", "cartpole-swingup"],
+        "--steps 60000 --seeds 2",
+        "--steps 8000000 --seeds 2",
+        of_training,
+    ),
+    "study": Command(lambda given, out: ["study", "paper", "--budget", "smoke"], "", "", of_study),
+}
+
+
+def environment(other: bool) -> dict[str, str]:
+    changes = {"PYTHONHASHSEED": "0", "LC_ALL": "C", "TZ": "UTC"}
+    if other:
+        changes = {"PYTHONHASHSEED": "12345", "LC_ALL": "C.UTF-8", "TZ": "Asia/Tokyo"}
+    return {**os.environ, **ONE_THREAD, **changes}
+
+
+def run(line: list[str], *, other: bool, one_core: bool = False, seconds: float | None = None) -> bool:
+    """Whether it came to its end; after so many seconds it alone is killed: its workers must notice."""
+    cores = sorted(os.sched_getaffinity(0))
+    process = subprocess.Popen(
+        line,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=environment(other),
+        cwd=tempfile.gettempdir() if other else "/",
+        preexec_fn=(lambda: os.sched_setaffinity(0, cores[:1])) if one_core else None,
+    )
+    try:
+        _, complaint = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        return False
+    if process.returncode != 0:
+        sys.exit(f"{' '.join(line)} failed with {process.returncode}: {complaint.decode()[-500:]}")
+    return True
+
+
+def timed(line: list[str], **options: Any) -> tuple[float, bool]:
+    began = time.monotonic()
+    ended = run(line, **options)
+    return time.monotonic() - began, ended
+
+
+def try_command(name: str, scale: str, kills: int, out: Path, rng: random.Random) -> bool:
+    """Prints a line of the table; whether the content is the same."""
+    command, given = COMMANDS[name], out / "alone"
+    alone, killed = given / name, out / "killed" / name
+    undisturbed, _ = timed(command.line(scale, given, alone), other=False)
+    start, _ = timed(command.line(scale, given, alone), other=False)  # nothing is left to do
+    work = max(undisturbed - start, 0.1)
+    done, attempts, ended = 0, 0.0, False
+    while not ended:
+        mean = work / max(1.0, 0.8 * kills)
+        limit = start + rng.uniform(0.2, 1.8) * mean if done < kills else None
+        line, one_core = command.line(scale, given, killed), scale == "small"
+        seconds, ended = timed(line, other=True, one_core=one_core, seconds=limit)
+        attempts += seconds
+        done += not ended
+    again = max(attempts - start * (done + 1), 0.0)
+    same = command.content(alone) == command.content(killed)
+    row = (
+        name,
+        done,
+        f"{undisturbed:.0f}",
+        f"{start:.1f}",
+        f"{again / work:.2f}" if scale == "long" else "–",
+        "yes" if same else "NO",
+    )
+    print("|", " | ".join(map(str, row)), "|", flush=True)
+    return same
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--kills", type=int, default=50, help="of each command")
+    parser.add_argument("--scale", choices=("small", "long"), default="long")
+    parser.add_argument("--only", default=",".join(COMMANDS))
+    parser.add_argument("--out", type=Path, default=Path("runs/kills"))
+    options = parser.parse_args()
+    out = options.out.absolute()
+    print("command: python benchmarks/kills.py", " ".join(sys.argv[1:]))
+    print("| command | kills | undisturbed [s] | start [s] | work, killed / undisturbed | same content |")
+    print("|---|---|---|---|---|---|", flush=True)
+    rng = random.Random(0)
+    names = options.only.split(",")
+    same = [try_command(name, options.scale, options.kills, out, rng) for name in names]
+    sys.exit(0 if all(same) else 1)
+
+
+if __name__ == "__main__":
+    main()
