@@ -4,8 +4,8 @@
 
 The one that is killed has another hash seed, working folder and locale, and on the small scale one core; XLA
 computes on one thread in both (NPROC=1). Prints, for each command, whether both ended with the same content,
-and what the kills cost: work is time without that of a run with nothing left to do, which starts Python alone.
-Ends with 1 if anything differs. The long scale takes about an hour on two cores, the small one is in the tests.
+and what the kills cost: work is time without that of a run with nothing left to do, which starts Python. Ends
+with 1 if anything differs. The long scale takes about an hour on two cores; the tests do the small one.
 """
 
 import argparse

@@ -1,0 +1,70 @@
+"""Makes the golden artefacts of the present schemas: python -m tests.golden.make FOLDER
+
+They are made once for each schema version, committed, and read forever after by `test_golden`. An old folder
+is never made again.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from planspace.demos.dataset import load_demos
+from planspace.embed.config import PRESETS
+from planspace.embed.embedding import load_embedding
+from planspace.rl.config import TrainConfig
+from planspace.rl.history import load_history
+from planspace.rl.saved_policy import load_policy
+from planspace.store import TEMPORARY_PREFIX
+from planspace.study.design import Arm, Study
+from planspace.study.execute import WHOLE, folder_of, read_result
+from planspace.study.run import run_study
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
+
+PLANS = PlansUnit("cartpole-swingup", 3, (("polish_max_iterations", 10), ("restarts", 1)))
+FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32, hidden=(16, 16)), num_seeds=1)
+POLICY = PolicyUnit(TrainConfig("cartpole", steps=8000, num_seeds=2, z="augment"), (FIT,))
+GOLDEN = Study("golden", "smoke", "Can it be read?", (Arm("balance", "raw + z", (POLICY,)),))
+STATES = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
+OBS = np.linspace(-1.0, 1.0, 21).reshape(3, 7)
+
+
+def make(out: Path) -> None:
+    """Runs a study of three small units, and keeps their folders, results and what is to be read in them."""
+    assert run_study(GOLDEN, out) == {}
+    for unit, name in ((PLANS, "demos"), (FIT, "embedding"), (POLICY, "run")):
+        folder_of(unit, out).rename(out / name)
+    shutil.rmtree(out / "work")
+    for name in ("run", "embedding"):
+        shutil.rmtree(out / name / "checkpoint")
+    for mark in (*out.rglob(WHOLE), *out.rglob(f"{TEMPORARY_PREFIX}*")):
+        mark.unlink()
+    (out / "expected.json").write_text(json.dumps(read(out), indent=1) + "\n")
+
+
+def read(out: Path) -> dict[str, object]:
+    """What one finds in the artefacts."""
+    demos, embedding = load_demos(out / "demos"), load_embedding(out / "embedding")
+    policy, history = load_policy(out / "run", 1), load_history(out / "run")
+    return {
+        "demos": {"hash": demos.hash, "last": demos.states[-1].tolist(), "count": len(demos)},
+        "embedding": {
+            "hash": embedding.hash,
+            "z": embedding.encode(STATES).tolist(),
+            "decoded": embedding.decode(embedding.encode(STATES)).tolist(),
+            "outside": embedding.outside_support(STATES).tolist(),
+        },
+        "policy": {"actions": policy(OBS).tolist(), "seeds": policy.about["seeds"]},
+        "history": {"return": history["return"].tolist(), "steps": history["steps"].tolist()},
+        "units": {
+            file.stem: sorted(json.loads(file.read_text())["found"])
+            for file in sorted((out / "units").glob("*.json"))
+        },
+        "found": {unit.kind: read_result(unit, out)["found"] for unit in (PLANS, POLICY)},
+    }
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]))

@@ -1,0 +1,53 @@
+"""What an earlier planspace wrote, this one reads, and finds in it what was found then."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planspace.embed.curves import read_log
+from planspace.repair import repair
+
+from .make import read
+
+FOLDERS = sorted(path for path in Path(__file__).parent.iterdir() if (path / "expected.json").exists())
+
+
+def assert_like(found: Any, expected: Any, where: str) -> None:
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys(), where
+        for key, value in expected.items():
+            assert_like(found[key], value, f"{where}.{key}")
+    elif isinstance(expected, list) and expected and not isinstance(expected[0], str | dict):
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6, err_msg=where)
+    else:
+        assert found == expected, where
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_what_was_written_is_read(folder: Path) -> None:
+    found = json.loads(json.dumps(read(folder)))
+    assert_like(found, json.loads((folder / "expected.json").read_text()), folder.name)
+    assert len(read_log(folder / "embedding")) >= 1
+    assert repair(folder) == []
+
+
+def test_there_is_one_of_the_present_schemas() -> None:
+    """A schema that changes needs a new folder: python -m tests.golden.make tests/golden/YEAR-MONTH"""
+    from planspace.demos import dataset
+    from planspace.embed import embedding
+    from planspace.rl import saved_policy
+    from planspace.study import execute
+
+    wanted = {
+        "demos/manifest.json": dataset.SCHEMA,
+        "embedding/embedding.json": embedding.SCHEMA,
+        "run/policies.json": saved_policy.SCHEMA,
+    }
+    newest = FOLDERS[-1]
+    for name, schema in wanted.items():
+        assert json.loads((newest / name).read_text())["schema"] == schema, name
+    for file in (newest / "units").iterdir():
+        assert json.loads(file.read_text())["schema"] == execute.SCHEMA
