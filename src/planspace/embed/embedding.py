@@ -377,6 +377,8 @@ def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
             f"{ARCHITECTURE!r} alone."
         )
     arrays = read_arrays(path / WEIGHTS, sha256=str(text["weights_sha256"]))
+    if any(array.dtype.kind != "f" for array in arrays.values()):
+        raise TypeError("its weights are no floating point numbers")
     bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if bad:
         raise PlanspaceError(f"{path / WEIGHTS}: {bad[0]} holds a number that is not finite.")

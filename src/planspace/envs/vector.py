@@ -180,7 +180,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees what drawing took."""
-        self._renderer.close()
+        if hasattr(self, "_renderer"):  # Gymnasium before 1.3 closes what was refused, too
+            self._renderer.close()
 
     def _observe(self) -> np.ndarray:
         return self.task.observe_as(self.obs, self._batch.states, self._batch.targets).astype(np.float32)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any, Literal, SupportsFloat, get_args
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, get_args
 
 import gymnasium
 import numpy as np
@@ -20,6 +20,11 @@ from gymnasium.vector.utils import batch_space
 from planspace.embed.embedding import Embedding, load_embedding, norm
 from planspace.envs.source import StateSource, source_of_columns, state_source, vector_state_source
 from planspace.errors import UsageError, unknown
+
+if TYPE_CHECKING:
+    _VectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
+else:
+    _VectorWrapper = VectorWrapper  # no generic class before Gymnasium 1.3
 
 Mode = Literal["augment", "replace", "dict"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -71,7 +76,7 @@ class PlanSpaceObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstruc
         return self._show(obs, z), reward, terminated, truncated, info
 
 
-class PlanSpaceVectorObservation(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+class PlanSpaceVectorObservation(_VectorWrapper, RecordConstructorArgs):
     """`PlanSpaceObservation` for a vector environment; `final_obs` is treated alike."""
 
     def __init__(
@@ -196,7 +201,7 @@ class PlanSpaceShaping(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorA
         return obs, float(reward) + info["shaping"], terminated, truncated, info
 
 
-class PlanSpaceVectorShaping(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+class PlanSpaceVectorShaping(_VectorWrapper, RecordConstructorArgs):
     """`PlanSpaceShaping` for a vector environment, whatever its autoreset mode."""
 
     def __init__(

@@ -1,0 +1,194 @@
+"""Looks for files whose reading ends otherwise than well or with an error of ours (extra `fuzz`).
+
+    python benchmarks/fuzz.py [--seconds N] [--only problem,model,manifest,embedding,policies,json,csv]
+
+Atheris mutates problem files, models and plans byte by byte, guided by which lines of planspace they reach;
+the descriptions of datasets, embeddings and policies value by value, each sealed anew, as a stranger would.
+Prints how many were tried; a file that escapes is kept, and the exit code is 1.
+"""
+
+import argparse
+import contextlib
+import importlib
+import io
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+GOLDEN = sorted((ROOT / "tests" / "golden").glob("*/expected.json"))[-1].parent
+TARGETS = ("problem", "model", "manifest", "embedding", "policies", "json", "csv")
+INSTRUMENTED = ("store", "demos.convert", "embed.embedding", "plan.problem_file", "rl.saved_policy")
+SEED_JSON = b'{"state_dims": ["x", "control", "time"], "path": [[0, 1, 0,], [1, 0, 0.5]]}'
+SEED_CSV = b"time,x,control\n0,1,2\n0.5,2,3\n"
+Probe = Callable[[bytes], None]
+
+
+def fuzz(target: str, seconds: int, kept: Path) -> None:
+    """Runs in a process of its own: libFuzzer never returns."""
+    import atheris
+
+    with atheris.instrument_imports(include=["planspace"]):
+        for module in INSTRUMENTED:
+            importlib.import_module(f"planspace.{module}")
+    from planspace.errors import PlanspaceError
+
+    folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").exists() else None))
+    probe, seeds = make_probe(target, folder)
+
+    def probe_one(data: bytes) -> None:
+        with contextlib.suppress(PlanspaceError), contextlib.redirect_stderr(io.StringIO()):
+            probe(data)
+
+    corpus = kept / f"{target}-corpus"
+    corpus.mkdir(parents=True, exist_ok=True)
+    for number, seed in enumerate(seeds):
+        (corpus / f"seed-{number}").write_bytes(seed)
+    limits = [f"-max_total_time={seconds}", "-timeout=20", "-rss_limit_mb=4096", "-max_len=8192"]
+    atheris.Setup([target, *limits, f"-artifact_prefix={kept}/{target}-", str(corpus)], probe_one)
+    atheris.Fuzz()
+
+
+def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
+    """What reads a file of these bytes, and files to begin with."""
+    from planspace.demos.dataset import load_demos
+    from planspace.embed.embedding import load_embedding
+    from planspace.physics.mjcf import read_model
+    from planspace.physics.simulate import ASSETS
+    from planspace.plan.problem_file import load_problem
+    from planspace.rl.saved_policy import load_policy
+
+    problem = (ASSETS / "cartpole-swingup.yaml").read_bytes()
+    models = sorted(ASSETS.glob("*.xml"))
+    if target == "problem":
+        for file in models:
+            shutil.copy(file, folder)
+        return lambda data: load_problem(str(written(folder / "p.yaml", data))) and None, [problem]
+    if target == "model":
+        seeds = [file.read_bytes() for file in models]
+        return lambda data: read_model(written(folder / "m.xml", data)) and None, seeds
+    if target in ("json", "csv"):
+        return importer(folder, target), [SEED_JSON if target == "json" else SEED_CSV]
+    readers = {
+        "manifest": ("demos", "manifest.json", load_demos),
+        "embedding": ("embedding", "embedding.json", load_embedding),
+        "policies": ("run", "policies.json", load_policy),
+    }
+    name, file, read = readers[target]
+    shutil.copytree(GOLDEN / name, folder / name)
+    return sealed(folder / name / file, lambda: read(folder / name)), [bytes(range(64))]
+
+
+def written(file: Path, data: bytes) -> Path:
+    file.write_bytes(data)
+    return file
+
+
+def importer(folder: Path, ending: str) -> Probe:
+    from planspace.demos.convert import import_demos
+    from planspace.demos.dataset import load_demos
+    from planspace.demos.recording import ImportOptions
+
+    def probe(data: bytes) -> None:
+        file, out = written(folder / f"plan_0.{ending}", data), folder / "out"
+        shutil.rmtree(out, ignore_errors=True)
+        import_demos([str(file)], out, None, ImportOptions())
+        load_demos(out)  # what was taken in can be read
+
+    return probe
+
+
+def sealed(file: Path, read: Callable[[], Any]) -> Probe:
+    """Changes some values of a description as the bytes say, and makes its checksum anew."""
+    import atheris
+
+    from planspace.store import read_sealed, write_sealed
+
+    whole = read_sealed(file)
+
+    def probe(data: bytes) -> None:
+        given = atheris.FuzzedDataProvider(data)
+        text = json.loads(json.dumps(whole))
+        for _ in range(given.ConsumeIntInRange(1, 4)):
+            change_one(text, given)
+        write_sealed(file, text)
+        read()
+
+    return probe
+
+
+def change_one(text: Any, given: Any) -> None:
+    """Goes down at random and puts something else in a place, or takes it out."""
+    while True:
+        keys = sorted(text) if isinstance(text, dict) else list(range(len(text)))
+        if not keys:
+            return
+        key = keys[given.ConsumeIntInRange(0, len(keys) - 1)]
+        if isinstance(text[key], dict | list) and text[key] and given.ConsumeBool():
+            text = text[key]
+            continue
+        if given.ConsumeIntInRange(0, 4) == 0:
+            del text[key]
+        else:
+            text[key] = value(given)
+        return
+
+
+def value(given: Any, depth: int = 0) -> Any:
+    kind = given.ConsumeIntInRange(0, 8)
+    if kind == 0:
+        return None
+    if kind == 1:
+        return given.ConsumeBool()
+    if kind == 2:
+        return given.ConsumeIntInRange(-3, 12)
+    if kind == 3:
+        return given.ConsumeInt(8)
+    if kind == 4:
+        return given.ConsumeRegularFloat()
+    if kind == 5:
+        return given.ConsumeUnicodeNoSurrogates(12)
+    if kind == 6:
+        return "../" * given.ConsumeIntInRange(1, 3) + "etc/passwd"
+    if depth > 3:
+        return []
+    inner = [value(given, depth + 1) for _ in range(given.ConsumeIntInRange(0, 3))]
+    return inner if kind == 7 else {str(i): x for i, x in enumerate(inner)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=int, default=600, help="for all targets together")
+    parser.add_argument("--only", default=",".join(TARGETS))
+    parser.add_argument("--kept", type=Path, default=Path("runs/fuzz"), help="where files that escape go")
+    parser.add_argument("--one", default="", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    kept = options.kept.absolute()
+    if options.one:
+        fuzz(options.one, options.seconds, kept)
+    names = options.only.split(",")
+    print("command: python benchmarks/fuzz.py", " ".join(sys.argv[1:]))
+    escaped = []
+    for name in names:
+        words = ["--one", name, "--seconds", str(max(1, options.seconds // len(names))), "--kept", str(kept)]
+        done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
+        tried = re.findall(r"^(?:Done (\d+) runs|#(\d+)\b)", done.stderr, re.MULTILINE)
+        number = next((a or b for a, b in reversed(tried)), "0")
+        print(
+            f"{name}: {number} files tried, {'none escaped' if done.returncode == 0 else 'ONE ESCAPED'}",
+            flush=True,
+        )
+        if done.returncode != 0:
+            escaped.append(name)
+            print(done.stderr[-3000:] + done.stdout[-1500:])
+    sys.exit(1 if escaped else 0)
+
+
+if __name__ == "__main__":
+    main()
