@@ -56,7 +56,7 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
         if untrusted:
             compile_apart(demos.info.mjcf)
         errors = replay_errors(demos)
-        if errors.max() > REPLAY_TOLERANCE:
+        if not errors.max() <= REPLAY_TOLERANCE:  # it may be no number, where physics run away
             raise PlanspaceError(
                 f"{folder}: replaying the controls of demonstration {int(errors.argmax())} misses its states "
                 f"by up to {errors.max():.2g}; another MuJoCo recorded it, or it is no record of this model."
