@@ -17,7 +17,7 @@ import numpy as np
 STEPS = (10_000, 100_000, 1_000_000)
 LENGTH = 100
 MEASURE = "import resource; print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-IMPORT = "from planspace.cli import main; assert main(['demos', 'import', '{npz}', '--out', '{demos}']) == 0"
+IMPORT = "from planspace.cli import main; assert not main(['demos', 'import', '{npz}', '--out', '{demos}'])"
 VALIDATE = "from planspace.cli import main; assert main(['demos', 'validate', '{demos}']) == 0"
 SHOW = "from planspace.cli import main; assert main(['demos', 'show', '{demos}']) == 0"
 TRIPLETS = """
