@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from planspace.cores import ONE_THREAD
+from planspace.cores import WORKER_ENVIRONMENT
 from planspace.demos.dataset import load_demos
 from planspace.embed.embedding import load_embedding
 from planspace.store import read_arrays
@@ -103,7 +103,7 @@ def environment(other: bool) -> dict[str, str]:
     changes = {"PYTHONHASHSEED": "0", "LC_ALL": "C", "TZ": "UTC"}
     if other:
         changes = {"PYTHONHASHSEED": "12345", "LC_ALL": "C.UTF-8", "TZ": "Asia/Tokyo"}
-    return {**os.environ, **ONE_THREAD, **changes}
+    return {**os.environ, **WORKER_ENVIRONMENT, **changes}
 
 
 def run(line: list[str], *, other: bool, one_core: bool = False, seconds: float | None = None) -> bool:

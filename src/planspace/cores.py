@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import platform
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,18 +22,22 @@ def count_cores() -> int:
 
 ORPHANED = 130
 """Exit code of a process whose parent is gone."""
-ONE_THREAD: dict[str, str] = dict.fromkeys(
-    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1"
-)
-"""Environment of a process whose linear algebra is to take one thread: NumPy's, and XLA's (NPROC), whose
-results otherwise depend in their last bits on how many cores there are."""
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1")
+_KERNELS = {"OPENBLAS_CORETYPE": "Haswell"} if platform.machine() in ("x86_64", "AMD64") else {}
+WORKER_ENVIRONMENT: dict[str, str] = _ONE_THREAD | _KERNELS
+"""Environment of a process that works beside others and is to compute what it would anywhere.
+
+Linear algebra takes one thread, NumPy's and XLA's (NPROC), whose results otherwise depend in their last bits
+on how many cores there are. OpenBLAS takes the kernels that every x86-64 CPU since 2013 can run; by default
+it takes those of the CPU at hand, which sum in another order, and a planner's next plan is then another.
+"""
 
 
 @contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile do linear algebra on one thread: there are as many of them as cores."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+def worker_environment() -> Iterator[None]:
+    """Processes started meanwhile have `WORKER_ENVIRONMENT`."""
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ.update(WORKER_ENVIRONMENT)
     try:
         yield
     finally:

@@ -1,4 +1,5 @@
 import json
+import platform
 import random
 import shutil
 import signal
@@ -82,6 +83,20 @@ def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path
     run_study(alone, tmp_path / "out", workers=1)  # on all the cores there are; before, on one of them
     expected = read_result(policy(0), finished)["found"]
     assert read_result(policy(0), tmp_path / "out")["found"] == expected
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other CPUs have other kernels")
+def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")  # which any CPU has, and which sums in another order
+    open_results(tmp_path)
+    pool = LocalPool(tmp_path, 1)
+    (tmp_path / "work").mkdir()
+    pool.start(PLANS)
+    while not pool.wait():
+        pass
+    assert read_result(PLANS, tmp_path)["found"] == read_result(PLANS, finished)["found"]
 
 
 def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 import planspace
-from planspace.cores import count_cores, end_with_parent, one_thread_each
+from planspace.cores import count_cores, end_with_parent, worker_environment
 from planspace.demos.dataset import DemoFolder, Episode, StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
@@ -182,7 +182,7 @@ def _plan_all(
     workers = min(workers or count_cores(), len(indices))
     context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
     with (
-        one_thread_each(),
+        worker_environment(),
         ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker) as pool,
     ):
         futures = [pool.submit(plan_one, problem, config, seed, i) for i in indices]

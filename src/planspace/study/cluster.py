@@ -19,7 +19,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from planspace.cores import ONE_THREAD, available_cores
+from planspace.cores import WORKER_ENVIRONMENT, available_cores
 from planspace.errors import PlanspaceError, UsageError
 from planspace.store import differences, json_hash, locked, make_folder, read_bytes, write_bytes
 from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
@@ -63,7 +63,7 @@ class RayPool:
             address=address,
             log_to_driver=False,
             logging_level=logging.ERROR,
-            runtime_env={"env_vars": ONE_THREAD},
+            runtime_env={"env_vars": WORKER_ENVIRONMENT},
         )
         cores = int(ray.cluster_resources().get("CPU", 1))
         self.size = max(1, min(size, cores))

@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from planspace.cores import available_cores, end_with_parent, one_thread_each
+from planspace.cores import available_cores, end_with_parent, worker_environment
 from planspace.errors import PlanspaceError
 from planspace.store import read_json, write_json
 from planspace.study.execute import execute
@@ -71,7 +71,7 @@ class LocalPool:
         context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
         slot = self._free.pop()
         process = context.Process(target=_work, args=(unit, self._out, slot, self.size), name=unit.name)
-        with one_thread_each():
+        with worker_environment():
             process.start()
         self._workers.append(_Worker(unit, process, slot))
 
