@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem

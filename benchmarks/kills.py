@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace.cores import WORKER_ENVIRONMENT
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.embed.embedding import load_embedding
 from planspace.store import read_arrays
 

@@ -2,8 +2,8 @@
 
     python benchmarks/limits.py [--out DIR]
 
-Every stage runs in a process of its own, on ten times as many steps each time; its peak memory is what the
-operating system says.
+Every stage runs in a process of its own, on ten times as many steps each time; its peak memory is what
+Linux says. `demos show` of 100,000 demonstrations is timed three times, from start to end.
 """
 
 import argparse
@@ -16,30 +16,35 @@ import numpy as np
 
 STEPS = (10_000, 100_000, 1_000_000)
 LENGTH = 100
-MEASURE = "import resource; print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+MEASURE = "print('peak', next(x.split()[1] for x in open('/proc/self/status') if x.startswith('VmHWM')))"
+"""Not ru_maxrss, which a process inherits from the one that started it."""
 IMPORT = "from planspace.cli import main; assert not main(['demos', 'import', '{npz}', '--out', '{demos}'])"
 VALIDATE = "from planspace.cli import main; assert main(['demos', 'validate', '{demos}']) == 0"
 SHOW = "from planspace.cli import main; assert main(['demos', 'show', '{demos}']) == 0"
 TRIPLETS = """
+from pathlib import Path
 import numpy as np
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import StoredDemos
 from planspace.demos.triplets import random_triplets
-demos = load_demos('{demos}')
-random_triplets(demos, np.arange(len(demos)), 100_000, np.random.default_rng(0))
+demos, rng = StoredDemos(Path('{demos}')), np.random.default_rng(0)
+for _ in range(10):
+    demos.states_at(random_triplets(demos, np.arange(len(demos)), 10_000, rng))
 """
+LISTED, LISTED_LENGTH = 100_000, 40
+"""Demonstrations to list, and steps of each: what a planned swing-up has."""
 
 
-def make_archive(path: Path, steps: int) -> None:
-    """Recorded demonstrations of LENGTH steps each."""
+def make_archive(path: Path, steps: int, length: int = LENGTH) -> None:
+    """Recorded demonstrations of so many steps each."""
     rng = np.random.default_rng(0)
-    num = steps // LENGTH
-    rows = num * (LENGTH + 1)
+    num = steps // length
+    rows = num * (length + 1)
     np.savez(
         path,
         states=rng.normal(size=(rows, 4)),
         controls=rng.normal(size=(rows, 1)),
-        time=np.tile(0.02 * np.arange(LENGTH + 1), num),
-        offsets=np.arange(num + 1) * (LENGTH + 1),
+        time=np.tile(0.02 * np.arange(length + 1), num),
+        offsets=np.arange(num + 1) * (length + 1),
     )
 
 
@@ -71,6 +76,12 @@ def main() -> None:
         ):
             peak, seconds = peak_mb(code.format(**names))
             print(f"| {steps:,} | {stage} | {peak:.0f} | {seconds:.1f} |", flush=True)
+    names = {"npz": str(options.out / "listed.npz"), "demos": str(options.out / "listed")}
+    make_archive(Path(names["npz"]), LISTED * LISTED_LENGTH, LISTED_LENGTH)
+    peak_mb(IMPORT.format(**names))
+    for _ in range(3):
+        peak, seconds = peak_mb(SHOW.format(**names))
+        print(f"| {LISTED * LISTED_LENGTH:,} in {LISTED:,} | show | {peak:.0f} | {seconds:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.demos.dataset import load_demos
 from planspace.demos.describe import replay_errors
+from planspace.demos.folder import load_demos
 from planspace.errors import PartialResult
 from planspace.plan.generate import generate
 from planspace.plan.problem_file import load_problem, shipped_problems

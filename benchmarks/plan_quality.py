@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from ground_truth import FOLDER, pendulum_time, reacher_time
 
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import load_demos
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem

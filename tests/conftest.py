@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit

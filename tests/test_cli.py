@@ -225,7 +225,7 @@ def test_measuring_draws_the_figures(
 def test_other_demos_are_drawn_whole_and_json_stays_json(
     capsys: pytest.CaptureFixture[str], embedding_folder: Path, demos, tmp_path: Path
 ) -> None:
-    from planspace.demos.dataset import DemoFolder
+    from planspace.demos.folder import DemoFolder
 
     DemoFolder(tmp_path / "other", demos.info, {}).append([demos.episode(i) for i in (0, 1, 2)], 3)
     shutil.copytree(embedding_folder, tmp_path / "e", ignore=shutil.ignore_patterns("log.jsonl"))
@@ -260,7 +260,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_an_altered_shard_is_named(capsys: pytest.CaptureFixture[str], demos, tmp_path: Path) -> None:
-    from planspace.demos.dataset import DemoFolder
+    from planspace.demos.folder import DemoFolder
 
     DemoFolder(tmp_path, demos.info, {}).append([demos.episode(0)], 1)
     shard = tmp_path / "shard-00000.safetensors"

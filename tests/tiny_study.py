@@ -7,7 +7,8 @@ from planspace.embed.config import PRESETS
 from planspace.rl.config import TrainConfig
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import read_result
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
+from planspace.study.pool import LocalPool
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
 FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
@@ -28,6 +29,15 @@ TINY = Study(
     (RAW, WITH_Z),
     (Claim("z helps", "ours", "final", WITH_Z.name, RAW.name),),
 )
+
+
+def run_alone(unit: Unit, out: Path) -> None:
+    """Runs one unit as a study does, whether it is done or not."""
+    pool = LocalPool(out, 1)
+    pool.start(unit)
+    while not (ended := pool.wait()):
+        pass
+    assert list(ended) == [(unit, None)]
 
 
 def what_was_found(study: Study, out: Path) -> dict[str, dict]:

@@ -9,7 +9,8 @@ from planspace.envs import register_tasks
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 
 if TYPE_CHECKING:
-    from planspace.demos.dataset import Demos, load_demos
+    from planspace.demos.dataset import Demos
+    from planspace.demos.folder import load_demos
     from planspace.rl.saved_policy import Policy, load_policy
 
 register_tasks()
@@ -29,10 +30,14 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Demonstrations bring MuJoCo with them, which an embedding in someone's worker can do without."""
-    if name in ("Demos", "load_demos"):
-        from planspace.demos import dataset
+    if name == "Demos":
+        from planspace.demos.dataset import Demos
 
-        return getattr(dataset, name)
+        return Demos
+    if name == "load_demos":
+        from planspace.demos.folder import load_demos
+
+        return load_demos
     if name in ("Policy", "load_policy"):
         from planspace.rl import saved_policy
 

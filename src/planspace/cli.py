@@ -162,7 +162,7 @@ class DemosPlot:
 
     def __call__(self) -> None:
         """Draws it."""
-        from planspace.demos.dataset import load_demos
+        from planspace.demos.folder import load_demos
         from planspace.demos.plot import plot_demos
         from planspace.figure import save_figure
         from planspace.store import make_folder
@@ -193,7 +193,7 @@ class DemosRender:
 
     def __call__(self) -> None:
         """Films it."""
-        from planspace.demos.dataset import load_demos
+        from planspace.demos.folder import load_demos
         from planspace.demos.render import FilmConfig, render_demos
         from planspace.physics.apart import compile_apart
 
@@ -256,7 +256,7 @@ class DemosExport:
     def __call__(self) -> None:
         """Exports it."""
         from planspace.demos.convert import export_demos
-        from planspace.demos.dataset import load_demos
+        from planspace.demos.folder import load_demos
 
         print(export_demos(load_demos(self.folder), self.target))
 
@@ -331,7 +331,7 @@ class Embed:
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
-        from planspace.demos.dataset import load_demos
+        from planspace.demos.folder import load_demos
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
         from planspace.embed.training import use_device
@@ -392,7 +392,7 @@ class Measure:
 
     def __call__(self) -> None:
         """Prints the metrics."""
-        from planspace.demos.dataset import load_demos
+        from planspace.demos.folder import load_demos
         from planspace.embed.embedding import load_embedding
         from planspace.embed.measurement import assess
         from planspace.store import make_folder

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace import checkpoint
-from planspace.demos import dataset
+from planspace.demos import folder as dataset
 from planspace.embed import embedding
 from planspace.errors import PlanspaceError
 from planspace.rl import history, saved_policy

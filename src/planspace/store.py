@@ -174,6 +174,21 @@ def read_arrays(path: Path, *, sha256: str | None = None) -> Arrays:
     return _read_arrays(path, sha256)[0]
 
 
+def read_array(path: Path, name: str) -> np.ndarray:
+    """Reads one array of a safetensors file that has been verified before, and no more of it.
+
+    Raises:
+        PlanspaceError: the file is missing or unreadable, or has no such array.
+    """
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            return file.get_tensor(name)
+    except OSError as error:
+        raise PlanspaceError(f"cannot read {path}: {error.strerror or error}.") from error
+    except safetensors.SafetensorError as error:
+        raise damaged(path, f"no readable safetensors file ({error})") from error
+
+
 def read_arrays_about(path: Path) -> tuple[Arrays, dict[str, Any]]:
     """Reads the arrays of a safetensors file, and the plain data that `write_arrays` kept with them.
 
@@ -374,8 +389,16 @@ def json_hash(value: Mapping[str, Any]) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
+    """SHA-256 of a file's bytes.
+
+    Raises:
+        PlanspaceError: it is missing or unreadable.
+    """
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise PlanspaceError(f"cannot read {path}: {error.strerror}.") from error
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

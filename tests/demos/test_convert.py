@@ -1,12 +1,19 @@
+import io
+import tracemalloc
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from planspace.demos.convert import export_demos, export_npz, import_demos, import_npz
-from planspace.demos.dataset import Demos, load_demos
-from planspace.demos.describe import describe
+from planspace.demos.convert import export_demos, import_demos, import_npz
+from planspace.demos.dataset import Demos
+from planspace.demos.describe import describe, validate
+from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
+from planspace.demos.npz_files import export_npz
 from planspace.demos.recording import ImportOptions, assignments
+from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError, UsageError
 
 CSV = "time,x\n0,1\n0.1,2\n0.2,3\n"
@@ -125,6 +132,141 @@ def test_the_same_import_again_changes_nothing_and_another_is_refused(tmp_path: 
     with pytest.raises(PlanspaceError, match="made with other settings: content was"):
         import_demos([str(tmp_path / "a.csv")], out, None, ImportOptions(states={"y": "x"}))
     assert describe(out)["made_by"] == {"imported": "a.csv"}
+
+
+def archive(num: int, length: int = 20) -> dict[str, np.ndarray]:
+    """`num` demonstrations of `length` states."""
+    rows = num * length
+    return {
+        "states": np.random.default_rng(0).normal(size=(rows, 3)),
+        "controls": np.ones((rows, 1)),
+        "time": np.tile(0.1 * np.arange(length), num),
+        "offsets": np.arange(num + 1) * length,
+    }
+
+
+def test_archives_may_be_compressed_and_lie_by_column(tmp_path: Path) -> None:
+    arrays = archive(3)
+    np.savez(tmp_path / "plain.npz", **arrays)
+    np.savez_compressed(tmp_path / "packed.npz", **arrays)
+    np.savez(tmp_path / "by_column.npz", **{**arrays, "states": np.asfortranarray(arrays["states"])})
+    hashes = set()
+    for name in ("plain", "packed", "by_column"):
+        import_npz(tmp_path / f"{name}.npz", tmp_path / name, None)
+        hashes.add(load_demos(tmp_path / name).hash)
+    assert len(hashes) == 1
+    np.testing.assert_array_equal(load_demos(tmp_path / "plain").states, arrays["states"])
+
+
+def test_an_archive_of_which_a_bit_is_turned_leaves_nothing(tmp_path: Path) -> None:
+    arrays = archive(3)
+    np.savez(tmp_path / "bad.npz", **arrays)
+    data = bytearray((tmp_path / "bad.npz").read_bytes())
+    data[data.index(arrays["time"].tobytes()) + 3] ^= 1  # 0 becomes tiny: only a checksum can tell
+    (tmp_path / "bad.npz").write_bytes(data)
+    with pytest.raises(PlanspaceError, match="not a readable NPZ archive .*CRC"):
+        import_npz(tmp_path / "bad.npz", tmp_path / "out", None)
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [(lambda data: data[:-8], "shorter than it says"), (lambda data: data + bytes(8), "longer than it says")],
+)
+def test_an_array_that_is_not_as_long_as_it_says_is_refused(
+    change: Callable[[bytes], bytes], message: str, tmp_path: Path
+) -> None:
+    with zipfile.ZipFile(tmp_path / "bad.npz", "w") as target:
+        for key, array in archive(3).items():
+            file = io.BytesIO()
+            np.save(file, array)
+            data = file.getvalue()
+            target.writestr(f"{key}.npy", change(data) if key == "time" else data)
+    with pytest.raises(PlanspaceError, match=message):
+        import_npz(tmp_path / "bad.npz", tmp_path / "out", None)
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
+
+
+def test_a_bad_demonstration_far_into_a_source_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("planspace.demos.convert.SHARD_EPISODES", 2)
+    arrays = archive(6)
+    arrays["states"][-1, 0] = np.inf  # in the third shard
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(PlanspaceError, match=r"bad.npz: demonstration 5 holds a state that is not finite"):
+        import_npz(tmp_path / "bad.npz", tmp_path / "deep" / "out", None)
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.npz"]
+    (tmp_path / "out").mkdir()
+    with pytest.raises(PlanspaceError, match="not finite"):
+        import_npz(tmp_path / "bad.npz", tmp_path / "out", None)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_what_a_kill_left_of_an_import_is_cleared_away(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **archive(3))
+    import_npz(tmp_path / "a.npz", tmp_path / "alone", None)
+    left = tmp_path / ".writing-import-out" / "recorded"
+    left.mkdir(parents=True)
+    (left / "manifest.json").write_text("half of a")
+    import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    assert load_demos(tmp_path / "out").hash == load_demos(tmp_path / "alone").hash
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "alone", "out"]
+
+
+def test_an_import_that_was_half_done_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planspace.demos.convert.SHARD_EPISODES", 2)
+    np.savez(tmp_path / "a.npz", **archive(5))
+    import_npz(tmp_path / "a.npz", tmp_path / "alone", None)
+    append, done = DemoFolder.append, []
+
+    def until_the_second(self: DemoFolder, episodes: list, next_index: int) -> None:
+        if self.path == tmp_path / "out":
+            done.append(next_index)
+            if len(done) == 2:
+                raise KeyboardInterrupt
+        append(self, episodes, next_index)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DemoFolder, "append", until_the_second)
+        with pytest.raises(KeyboardInterrupt):
+            import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    assert len(load_demos(tmp_path / "out")) == 2
+    import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    assert load_demos(tmp_path / "out").hash == load_demos(tmp_path / "alone").hash
+
+
+def test_memory_stays_flat_however_long_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planspace.demos.convert.SHARD_EPISODES", 100)
+
+    def peak(action: Callable[[], object]) -> int:
+        tracemalloc.start()
+        try:
+            action()
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    def draw(folder: Path) -> None:
+        stored = StoredDemos(folder)
+        rows = random_triplets(stored, np.arange(len(stored)), 1000, np.random.default_rng(0), 0.5)
+        assert stored.states_at(rows).shape == (1000, 3, 3)
+
+    peaks = []
+    for num in (200, 200, 4000):  # the first to have everything imported and cached
+        source, folder = tmp_path / f"{len(peaks)}.npz", tmp_path / f"{len(peaks)}"
+        np.savez(source, **archive(num))
+        actions = (
+            lambda source=source, folder=folder: import_npz(source, folder, None),
+            lambda folder=folder: validate(folder, replay_controls=False),
+            lambda folder=folder: describe(folder),
+            lambda folder=folder: draw(folder),
+        )
+        peaks.append([peak(action) for action in actions])
+    whole = peak(lambda: load_demos(tmp_path / "2"))
+    for small, large in zip(*peaks[1:], strict=True):
+        # beside one shard a few numbers of each demonstration; the whole dataset is 3 MB
+        assert large < 1.2 * small + 4000 * 64 < 0.5 * whole
 
 
 def test_exports_of_no_kind_are_refused(demos: Demos, tmp_path: Path) -> None:

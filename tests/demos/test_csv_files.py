@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import export_demos, import_demos
-from planspace.demos.dataset import Demos, StateInfo, load_demos
+from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.folder import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.errors import PlanspaceError, UsageError
 from planspace.plan.generate import state_info

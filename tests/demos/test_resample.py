@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import StateInfo
+from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.recording import recorded
 from planspace.demos.resample import common_step, resample, with_continuous_angles
 from planspace.physics.simulate import ASSETS
@@ -21,6 +21,10 @@ def angles(values: list[float], *, keep_windings: bool = False) -> np.ndarray:
     return with_continuous_angles(e, CIRCLE, keep_windings=keep_windings).states[:, 0]
 
 
+def step_of(episodes: list[Episode], info: StateInfo = INFO) -> float | None:
+    return common_step(lambda: (np.diff(e.times) for e in episodes), info)
+
+
 def test_states_between_the_recorded_ones_and_the_control_in_force() -> None:
     # Steps of 0.2 counted back from the end at 0.7: 0.1, 0.3, 0.5, 0.7, on a clock that starts at 0.
     # x = 10 t up to t = 0.4, where it is 4, then it stands still.
@@ -34,21 +38,21 @@ def test_states_between_the_recorded_ones_and_the_control_in_force() -> None:
 def test_the_step_is_the_median_of_all_steps_or_none_where_all_are_alike() -> None:
     # steps 0.1 0.1 0.1 0.2 0.3: median 0.1
     uneven = [episode([0.0, 0.1, 0.2, 0.3]), episode([0.0, 0.2, 0.5])]
-    assert common_step(uneven, INFO) == pytest.approx(0.1)
-    assert common_step([episode([0.0, 0.1, 0.2]), episode([0.0, 0.1])], INFO) is None
+    assert step_of(uneven) == pytest.approx(0.1)
+    assert step_of([episode([0.0, 0.1, 0.2]), episode([0.0, 0.1])]) is None
     # two demonstrations, each even in itself, at different rates: a step must last as long everywhere
-    assert common_step([episode([0.0, 0.1, 0.2, 0.3]), episode([0.0, 0.2])], INFO) == pytest.approx(0.1)
+    assert step_of([episode([0.0, 0.1, 0.2, 0.3]), episode([0.0, 0.2])]) == pytest.approx(0.1)
 
 
 def test_a_clock_rounded_to_float32_is_even() -> None:
     times = np.cumsum(np.full(500, 0.02)).astype(np.float32).astype(float)
-    assert common_step([episode(times.tolist())], INFO) is None
+    assert step_of([episode(times.tolist())]) is None
 
 
 def test_the_step_is_a_whole_number_of_the_models_steps() -> None:
     info = StateInfo(("x",), ("",), (), 1, joints=("slider", "hinge"), mjcf=MJCF)  # steps of 0.02 s
-    assert common_step([episode([0.0, 0.05, 0.1, 0.2])], info) == pytest.approx(0.04)
-    assert common_step([episode([0.0, 0.003, 0.006, 0.02])], info) == pytest.approx(0.02)
+    assert step_of([episode([0.0, 0.05, 0.1, 0.2])], info) == pytest.approx(0.04)
+    assert step_of([episode([0.0, 0.003, 0.006, 0.02])], info) == pytest.approx(0.02)
 
 
 def test_an_even_episode_and_one_shorter_than_a_step_stay_as_they_are() -> None:

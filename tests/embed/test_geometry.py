@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import import_npz
-from planspace.demos.dataset import Demos, Episode, StateInfo, load_demos
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.folder import load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
     Geometry,

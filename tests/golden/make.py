@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import load_embedding
 from planspace.rl.config import TrainConfig

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors
+from planspace.demos.folder import load_demos
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.plan import generate as module
 from planspace.plan.generate import generate
@@ -20,11 +21,12 @@ from planspace.plan.sst import SSTConfig
 from ..conftest import QUICK_PLANNER
 
 
-def test_interrupted_serial_planning_ends_as_undisturbed_parallel_planning_did(
-    demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_interrupted_planning_ends_as_undisturbed_planning_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, planned = load_problem("cartpole-swingup"), []
-    plan_one = module.plan_one
+    plan_one, out = module.plan_one, tmp_path / "interrupted"
+    generate(problem, tmp_path / "alone", num=12, seed=0, config=QUICK_PLANNER, workers=0)
 
     def counted(*args: object):
         planned.append(args[-1])
@@ -34,11 +36,16 @@ def test_interrupted_serial_planning_ends_as_undisturbed_parallel_planning_did(
 
     monkeypatch.setattr(module, "plan_one", counted)
     with pytest.raises(KeyboardInterrupt):
-        generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=0)
-    assert len(load_demos(tmp_path)) == 11  # a full shard, and the plan that was done when it was stopped
-    generate(problem, tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+        generate(problem, out, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+    assert len(load_demos(out)) == 11  # a full shard, and the plan that was done when it was stopped
+    generate(problem, out, num=12, seed=0, config=QUICK_PLANNER, workers=0)
     assert planned == [*range(12), 11]  # nothing on disk was planned again
-    assert load_demos(tmp_path).hash == demos.hash
+    assert load_demos(out).hash == load_demos(tmp_path / "alone").hash
+
+
+def test_plans_do_not_depend_on_the_number_of_workers(demos: Demos, tmp_path: Path) -> None:
+    generate(load_problem("cartpole-swingup"), tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=3)
+    assert load_demos(tmp_path).hash == demos.hash  # planned by one for each core
 
 
 def test_a_finished_dataset_is_left_alone_and_other_settings_are_refused(demo_folder: Path) -> None:

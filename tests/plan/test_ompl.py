@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.plan import ompl
 from planspace.plan.generate import generate

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from planspace.checkpoint import load_checkpoint, save_checkpoint
-from planspace.demos.dataset import DemoFolder, Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import DemoFolder, load_demos
 from planspace.embed.curves import read_log
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError

@@ -8,23 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.embed.curves import read_log
 from planspace.embed.embedding import load_embedding
-from planspace.embed.fit import fit
 from planspace.errors import PlanspaceError
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
 from planspace.repair import repair
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.rl.train import train
 from planspace.store import read_arrays, read_arrays_about
 from planspace.study.execute import folder_of, read_result, result_file
 from planspace.study.run import run_study, units_to_run
 
-from ..tiny_study import FIT, PLANS, TINY, policy
+from ..tiny_study import FIT, PLANS, TINY, policy, run_alone
 
 MAX_LENGTH, FLIPS = 4096, 2000
 POLICY = policy(0, z=True)
@@ -107,16 +102,6 @@ def content(out: Path) -> dict[str, Any]:
     }
 
 
-def make_again(out: Path) -> None:
-    """The commands that made the folders."""
-    problem = load_problem(PLANS.problem)
-    config = PlannerConfig.for_problem(problem, **dict(PLANS.settings))
-    generate(problem, folder_of(PLANS, out), num=PLANS.num, seed=0, config=config)
-    demos = load_demos(folder_of(PLANS, out))
-    fit(demos, folder_of(FIT, out), config=FIT.config, num_seeds=FIT.num_seeds, seed=FIT.seed, split_seed=0)
-    train(POLICY.config, folder_of(POLICY, out), [load_embedding(folder_of(FIT, out))])
-
-
 def damage(file: Path) -> None:
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 4
@@ -140,7 +125,7 @@ def test_what_was_damaged_is_made_again_as_it_was(copied: Path) -> None:
             assert len(units_to_run(TINY, copied)) == 1
             run_study(TINY, copied, workers=1)
         else:
-            make_again(copied)
+            run_alone(next(unit for unit in (PLANS, FIT, POLICY) if unit.name in file.parts), copied)
         assert content(copied) == before, file
         for path in copied.rglob("damaged-*"):
             path.unlink()

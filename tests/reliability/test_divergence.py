@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors, validate
+from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import ASSETS
 from planspace.physics.space import StateSpace
@@ -45,16 +46,14 @@ def test_the_planner_finds_nothing_in_it(tmp_path: Path) -> None:
         load_demos(tmp_path / "demos")
 
 
-def test_a_dataset_that_does_not_replay_is_refused(
-    demos: Demos, demo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dataset_that_does_not_replay_is_refused(demos: Demos, tmp_path: Path) -> None:
     info = replace(demos.info, mjcf=with_long_step(demos.info.mjcf))
     wild = replace(demos, info=info, times=demos.times * LONG_STEP_S / demos.times[1])
+    DemoFolder(tmp_path, info, {}).append([wild.episode(i) for i in range(len(wild))], len(wild))
     with np.errstate(all="ignore"):
         assert not (replay_errors(wild) < 1.0).any()
-        monkeypatch.setattr("planspace.demos.describe.load_demos", lambda folder: wild)
         with pytest.raises(PlanspaceError, match="misses its states"):
-            validate(demo_folder, replay_controls=True)
+            validate(tmp_path, replay_controls=True)
 
 
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])

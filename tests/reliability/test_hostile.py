@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import ImportOptions, import_demos
-from planspace.demos.dataset import DemoFolder, Demos, load_demos
+from planspace.demos.dataset import Demos
 from planspace.demos.describe import validate
+from planspace.demos.folder import DemoFolder, load_demos
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics import apart

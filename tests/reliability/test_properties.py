@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from planspace.demos.dataset import DemoFolder, Episode, StateInfo, load_demos
+from planspace.demos.dataset import Episode, StateInfo
+from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PlanspaceError
 from planspace.repair import repair
 from planspace.store import append_row, is_row

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
@@ -28,7 +28,7 @@ from planspace.study.stats import Scores
 from planspace.study.summary import Findings, as_text, read_findings, summarise
 from planspace.study.unit import PolicyUnit, Unit
 
-from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, what_was_found
+from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
 
 PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
@@ -91,11 +91,8 @@ def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
 ) -> None:
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")  # which any CPU has, and which sums in another order
     open_results(tmp_path)
-    pool = LocalPool(tmp_path, 1)
     (tmp_path / "work").mkdir()
-    pool.start(PLANS)
-    while not pool.wait():
-        pass
+    run_alone(PLANS, tmp_path)
     assert read_result(PLANS, tmp_path)["found"] == read_result(PLANS, finished)["found"]
 
 

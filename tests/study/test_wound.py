@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import load_demos
+from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import replay
 from planspace.plan.problem_file import load_problem

@@ -1,33 +1,33 @@
-"""Demonstrations from and to other formats; the kind of a file is told by its name."""
+"""Demonstrations from and to other formats; the kind of a file is told by its name.
 
-import io
+A source is read a demonstration at a time and laid down beside the dataset to be, and only what is in order
+throughout is copied there: a dataset may be larger than memory, and a bad source leaves nothing behind.
+"""
+
 import itertools
 import re
+import shutil
 import sys
-import zipfile
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from planspace.demos.csv_files import csv_text, read_csv
-from planspace.demos.dataset import MANIFEST, MINARI_PREFIX, DemoFolder, Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos, Episode, StateInfo, check_episode
+from planspace.demos.folder import MANIFEST, MINARI_PREFIX, DemoFolder, StoredDemos
 from planspace.demos.layouts_2020 import read_json_paths, read_out_paths
 from planspace.demos.minari import read_minari, write_minari
-from planspace.demos.recording import (
-    Imported,
-    ImportOptions,
-    anonymous_info,
-    check_rising,
-    recorded,
-    refuse,
-)
-from planspace.demos.resample import common_step, resample, with_continuous_angles
+from planspace.demos.npz_files import export_npz, read_npz
+from planspace.demos.recording import Imported, ImportOptions, refuse
+from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
 from planspace.errors import PlanspaceError, UsageError
-from planspace.store import file_hash, json_hash, read_bytes, write_bytes
+from planspace.store import TEMPORARY_PREFIX, file_hash, json_hash, locked, make_folder, write_bytes
 
-NPZ_KEYS = ("states", "controls", "time", "offsets")
-IMPORT_SHARD_EPISODES = 256
+SHARD_EPISODES, SHARD_STATES = 256, 100_000
+"""An imported shard ends with so many demonstrations, or the one that brings it to so many states."""
 SUFFIXES = (".npz", ".csv", ".json", ".out")
 IMPORT_KINDS = "FILE.npz, FILE.csv, minari:ID, or a folder of .csv, .json or .out files"
 EXPORT_KINDS = "FILE.npz, FILE.csv or minari:ID"
@@ -64,7 +64,7 @@ def import_demos(
     named = kind in (".csv", ".json")
     refuse(options, _name(sources), states=named, controls=named, dt=kind == ".csv")
     if kind == ".npz":
-        imported = _read_npz(files[0], info)
+        imported = read_npz(files[0], info)
     elif kind == ".csv":
         imported = read_csv(files, info, options)
     elif kind == ".json":
@@ -76,20 +76,7 @@ def import_demos(
 
 
 def import_npz(file: Path, out: Path, info: StateInfo | None) -> DemoFolder:
-    """Imports an NPZ archive just as it is: uneven time steps and wound-up angles are kept.
-
-    Args:
-        file: an archive with `states` [N, n], `controls` [N, m] (held from that state on; the last row of
-            an episode means nothing), `time` [N] in seconds, and `offsets`: episode i is rows
-            offsets[i] : offsets[i + 1].
-        out: the dataset folder to make.
-        info: what the states are; without it they get names `state0`, `state1` ... and no angle is taken
-            to be circular.
-
-    Raises:
-        PlanspaceError: a key is missing, shapes do not fit, pickled objects, or a number that is not finite
-            (the episode and row are named).
-    """
+    """Imports an NPZ archive just as it is: uneven steps and wound-up angles are kept; see `read_npz`."""
     return import_demos([str(file)], out, info, ImportOptions(as_recorded=True))
 
 
@@ -138,39 +125,84 @@ def minari_demos(source: str) -> Demos:
     """
     options = ImportOptions()
     imported = read_minari(source.removeprefix(MINARI_PREFIX), None, options)
-    return Demos.from_episodes(imported.info, _in_order(imported, source, options))
-
-
-def _in_order(imported: Imported, source: str, options: ImportOptions) -> list[Episode]:
-    """Checks everything, brings angles and steps in order, and says on standard error what was assumed."""
-    info, episodes, notices = imported.info, imported.episodes, list(imported.notices)
-    try:
-        Demos.from_episodes(info, episodes)
-    except PlanspaceError as error:
-        raise PlanspaceError(f"{source}: {error}") from error
-    if not options.as_recorded:
-        keep = imported.keep_angles
-        episodes = [with_continuous_angles(e, info, keep_windings=keep) for e in episodes]
-        step = common_step(episodes, info)
-        if step is not None:
-            resampled = [resample(e, info, step) for e in episodes]
-            count = sum(new is not old for new, old in zip(resampled, episodes, strict=True))
-            notices.append(f"resampled {count} of {len(episodes)} demonstrations to a step of {step:.6g} s")
-            episodes = resampled
-    for notice in notices:
-        print(notice, file=sys.stderr)
-    return episodes
+    with tempfile.TemporaryDirectory(prefix="planspace-") as stage:
+        return _in_order(imported, source, options, Path(stage)).load()
 
 
 def _store(imported: Imported, out: Path, origin: dict[str, str], options: ImportOptions) -> DemoFolder:
-    """Makes the folder, once everything is in order."""
-    info, episodes = imported.info, _in_order(imported, origin["imported"], options)
-    content = Demos.from_episodes(info, episodes).hash
-    folder = DemoFolder(out, info, {**origin, "problem": info.problem, "content": content})
-    for first in range(folder.next_index, len(episodes), IMPORT_SHARD_EPISODES):
-        last = min(first + IMPORT_SHARD_EPISODES, len(episodes))
-        folder.append(episodes[first:last], last)
+    """Makes the dataset, once everything is in order."""
+    with _stage_for(out) as stage:
+        demos = _in_order(imported, origin["imported"], options, stage)
+        about = {**origin, "problem": demos.info.problem, "content": demos.hash}
+        folder = DemoFolder(out, demos.info, about)
+        _append_all(folder, itertools.islice(demos.episodes(), folder.next_index, None))
     return folder
+
+
+@contextmanager
+def _stage_for(out: Path) -> Iterator[Path]:
+    """A folder for what is not finished, gone afterwards: in `out` where that exists, else above it."""
+    home = next(folder for folder in (out, *out.absolute().parents) if folder.is_dir())
+    stage = make_folder(home / f"{TEMPORARY_PREFIX}import-{out.name}")
+    with locked(stage):
+        try:
+            for left_behind in stage.glob("*/"):  # by a kill
+                shutil.rmtree(left_behind)
+            yield stage
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+
+
+def _in_order(imported: Imported, source: str, options: ImportOptions, stage: Path) -> StoredDemos:
+    """Lays everything down checked, angles and steps in order; says on standard error what was assumed."""
+    info, notices = imported.info, list(imported.notices)
+    demos = _lay_down(stage / "recorded", source, info, _checked(imported, source, options))
+    step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), info)
+    if step is not None:
+        count = sum(not has_step(episode, step) for episode in demos.episodes())
+        notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
+        resampled = (resample(episode, info, step) for episode in demos.episodes())
+        demos = _lay_down(stage / "even", source, info, resampled)
+    for notice in notices:
+        print(notice, file=sys.stderr)
+    return demos
+
+
+def _checked(imported: Imported, source: str, options: ImportOptions) -> Iterator[Episode]:
+    for episode in imported.episodes:
+        try:
+            check_episode(imported.info, episode)
+        except PlanspaceError as error:
+            raise PlanspaceError(f"{source}: {error}") from error
+        if not options.as_recorded:
+            episode = with_continuous_angles(episode, imported.info, keep_windings=imported.keep_angles)
+        yield episode
+
+
+def _lay_down(path: Path, source: str, info: StateInfo, episodes: Iterable[Episode]) -> StoredDemos:
+    folder = DemoFolder(path, info, {})
+    _append_all(folder, episodes)
+    if folder.num_episodes == 0:
+        raise PlanspaceError(f"{source}: there are no demonstrations.")
+    return StoredDemos(path)
+
+
+def _append_all(folder: DemoFolder, episodes: Iterable[Episode]) -> None:
+    shard: list[Episode] = []
+    for episode in episodes:
+        shard.append(episode)
+        if len(shard) == SHARD_EPISODES or sum(len(e.states) for e in shard) >= SHARD_STATES:
+            folder.append(shard, folder.next_index + len(shard))
+            shard = []
+    if shard:
+        folder.append(shard, folder.next_index + len(shard))
+
+
+def _steps(demos: Demos) -> np.ndarray:
+    """How long each step lasts [s]."""
+    within = np.ones(len(demos.times) - 1, dtype=bool)
+    within[demos.offsets[1:-1] - 1] = False
+    return np.diff(demos.times)[within]
 
 
 # --- export -----------------------------------------------------------------------------------------
@@ -202,59 +234,3 @@ def export_demos(demos: Demos, target: str) -> Path:
             f"{target} has no kind that demonstrations are written in; it may be {EXPORT_KINDS}."
         )
     return file
-
-
-def export_npz(demos: Demos, file: Path) -> None:
-    """Writes demonstrations as an NPZ archive that `import_npz` reads; the last control of each is zero."""
-    controls = np.zeros((len(demos.states), demos.info.num_controls))
-    controls[_rows_with_control(demos)] = demos.controls
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, states=demos.states, controls=controls, time=demos.times, offsets=demos.offsets
-    )
-    write_bytes(file, buffer.getvalue())
-
-
-def _rows_with_control(demos: Demos) -> np.ndarray:
-    has_control = np.ones(len(demos.states), dtype=bool)
-    has_control[demos.offsets[1:] - 1] = False
-    return has_control
-
-
-# --- NPZ --------------------------------------------------------------------------------------------
-
-
-def _read_npz(file: Path, info: StateInfo | None) -> Imported:
-    arrays = _npz_arrays(file)
-    states, controls, times = (arrays[key].astype(float) for key in NPZ_KEYS[:3])
-    offsets = arrays["offsets"]
-    axes = (states.ndim, controls.ndim, times.ndim)
-    if axes != (2, 2, 1) or not len(states) == len(controls) == len(times):
-        raise PlanspaceError(
-            f"{file}: states {states.shape}, controls {controls.shape} and time {times.shape} must have "
-            "two, two and one axes and the same number of rows."
-        )
-    if offsets.ndim != 1 or len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != len(states):
-        raise PlanspaceError(f"{file}: offsets must run from 0 to the number of rows, {len(states)}.")
-    if (np.diff(offsets) < 2).any():
-        raise PlanspaceError(f"{file}: episode {np.argmin(np.diff(offsets))} has fewer than two states.")
-    episodes = []
-    for i, (a, b) in enumerate(itertools.pairwise(offsets)):
-        check_rising(times[a:b], lambda k, i=i, a=a: f"{file}, episode {i}, row {a + k}")
-        episodes.append(recorded(states[a:b], controls[a : b - 1], times[a:b], i))
-    return Imported(info or anonymous_info(states.shape[1], controls.shape[1]), episodes)
-
-
-def _npz_arrays(file: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(io.BytesIO(read_bytes(file)), allow_pickle=False) as archive:
-            missing = [key for key in NPZ_KEYS if key not in archive]
-            if missing:
-                raise PlanspaceError(f"{file} has no array {missing[0]!r}; it needs {', '.join(NPZ_KEYS)}.")
-            arrays = {key: archive[key] for key in NPZ_KEYS}
-    except (ValueError, zipfile.BadZipFile, EOFError, AttributeError) as error:
-        raise PlanspaceError(f"{file} is not a readable NPZ archive of plain arrays ({error}).") from error
-    for key, array in arrays.items():
-        if array.dtype.kind not in ("iu" if key == "offsets" else "iuf"):
-            raise PlanspaceError(f"{file}: the array {key!r} is of type {array.dtype}; numbers are needed.")
-    return arrays

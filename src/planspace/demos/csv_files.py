@@ -7,7 +7,8 @@ episode,time,slider,hinge,slidervel,hingevel,control1
 
 import csv
 import io
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,16 +19,9 @@ from planspace.demos.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Colum
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
 from planspace.errors import PlanspaceError
-from planspace.store import read_bytes
 
-
-@dataclass(frozen=True)
-class _Table:
-    """A file's cells as text, each row with the line it ends on."""
-
-    file: Path
-    header: list[str]
-    rows: list[tuple[int, list[str]]]
+Row = tuple[int, list[str]]
+"""A row's cells as text, and the line it ends on."""
 
 
 def read_csv(files: Sequence[Path], info: StateInfo | None, options: ImportOptions) -> Imported:
@@ -40,28 +34,24 @@ def read_csv(files: Sequence[Path], info: StateInfo | None, options: ImportOptio
 
     Raises:
         PlanspaceError: not UTF-8 text, a column is missing, a cell is no finite number, or times do not
-            rise (file, line and column are named).
+            rise (file, line and column are named); also while the demonstrations are read.
     """
-    episodes: list[Episode] = []
-    found, first = info, None
-    has_controls = True
-    for file in files:
-        table = _read_table(file)
-        columns = choose_columns(table.header, info, options, str(file))
-        first = first or columns.info
-        if columns.info != first:
-            raise PlanspaceError(
-                f"{file} has the states ({', '.join(columns.info.names)}) and {columns.info.num_controls} "
-                f"controls, {files[0]} has ({', '.join(first.names)}) and {first.num_controls}; all files "
-                "of a dataset need the same."
-            )
-        found = columns.info
-        has_controls = has_controls and bool(columns.controls)
-        for rows in _by_episode(table, columns):
-            episodes.append(_episode(table, rows, columns, options, len(episodes)))
-    if found is None or not episodes:
+    tables = [_open_table(file, info, options) for file in files]
+    if not tables:
         raise PlanspaceError("there is no CSV file to read.")
-    return Imported(found, episodes, () if has_controls else (NO_CONTROLS,))
+    first = tables[0].columns.info
+    for table in tables:
+        found = table.columns.info
+        if found != first:
+            raise PlanspaceError(
+                f"{table.file} has the states ({', '.join(found.names)}) and {found.num_controls} controls, "
+                f"{files[0]} has ({', '.join(first.names)}) and {first.num_controls}; all files of a dataset "
+                "need the same."
+            )
+    courses = ((table, rows) for table in tables for rows in table.demonstrations())
+    episodes = (_episode(table, rows, options, i) for i, (table, rows) in enumerate(courses))
+    has_controls = all(table.columns.controls for table in tables)
+    return Imported(first, episodes, () if has_controls else (NO_CONTROLS,))
 
 
 def csv_text(demos: Demos) -> str:
@@ -87,36 +77,70 @@ def csv_text(demos: Demos) -> str:
     return text.getvalue()
 
 
-def _read_table(file: Path) -> _Table:
+@dataclass(frozen=True)
+class _Table:
+    """A file of which the header has been read."""
+
+    file: Path
+    header: list[str]
+    columns: Columns
+
+    def demonstrations(self) -> Iterator[list[Row]]:
+        """The rows of each, read as they are asked for unless the file goes back and forth between them."""
+        column, rows = self.columns.episode, self._rows()
+        if column is None:
+            yield list(rows)
+        elif self._is_in_order(column):
+            yield from (
+                list(group) for _, group in itertools.groupby(rows, lambda row: row[1][column].strip())
+            )
+        else:
+            groups: dict[str, list[Row]] = {}
+            for row in rows:
+                groups.setdefault(row[1][column].strip(), []).append(row)
+            yield from groups.values()
+
+    def _is_in_order(self, column: int) -> bool:
+        runs = [name for name, _ in itertools.groupby(cells[column].strip() for _, cells in self._rows())]
+        return len(set(runs)) == len(runs)
+
+    def _rows(self) -> Iterator[Row]:
+        rows = _rows(self.file)
+        next(rows)  # the header
+        for line, cells in rows:
+            if len(cells) != len(self.header):
+                raise PlanspaceError(
+                    f"{self.file}, line {line} has {len(cells)} cells; the header has {len(self.header)}."
+                )
+            yield line, cells
+
+
+def _open_table(file: Path, info: StateInfo | None, options: ImportOptions) -> _Table:
+    first = [cells for _, cells in itertools.islice(_rows(file), 2)]
+    if len(first) < 2:
+        raise PlanspaceError(f"{file} needs a header and rows of numbers; it has {len(first)} lines.")
+    header = [cell.strip() for cell in first[0]]
+    return _Table(file, header, choose_columns(header, info, options, str(file)))
+
+
+def _rows(file: Path) -> Iterator[Row]:
+    """All rows that are not empty."""
     try:
-        text = read_bytes(file).decode("utf-8-sig")
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+        with open(file, encoding="utf-8-sig", newline="") as text:
+            reader = csv.reader(text, strict=True)
+            for cells in reader:
+                if any(cell.strip() for cell in cells):
+                    yield reader.line_num, cells
+    except OSError as error:
+        raise PlanspaceError(f"cannot read {file}: {error.strerror}.") from error
     except UnicodeDecodeError as error:
         raise PlanspaceError(f"{file} is not UTF-8 text ({error}).") from error
     except csv.Error as error:
         raise PlanspaceError(f"{file} is not a CSV file ({error}).") from error
-    if len(rows) < 2:
-        raise PlanspaceError(f"{file} needs a header and rows of numbers; it has {len(rows)} lines.")
-    header = [cell.strip() for cell in rows[0][1]]
-    for line, row in rows[1:]:
-        if len(row) != len(header):
-            raise PlanspaceError(f"{file}, line {line} has {len(row)} cells; the header has {len(header)}.")
-    return _Table(file, header, rows[1:])
 
 
-def _by_episode(table: _Table, columns: Columns) -> list[list[tuple[int, list[str]]]]:
-    if columns.episode is None:
-        return [table.rows]
-    groups: dict[str, list[tuple[int, list[str]]]] = {}
-    for line, row in table.rows:
-        groups.setdefault(row[columns.episode].strip(), []).append((line, row))
-    return list(groups.values())
-
-
-def _episode(
-    table: _Table, rows: list[tuple[int, list[str]]], columns: Columns, options: ImportOptions, index: int
-) -> Episode:
+def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int) -> Episode:
+    columns = table.columns
     if len(rows) < 2:
         raise PlanspaceError(
             f"{table.file}, line {rows[0][0]} is a demonstration of one state; two are needed."
@@ -135,9 +159,7 @@ def _episode(
     return recorded(_numbers(table, rows, columns.states), controls, times, index)
 
 
-def _numbers(
-    table: _Table, rows: list[tuple[int, list[str]]], columns: Sequence[int]
-) -> Float[np.ndarray, "row column"]:
+def _numbers(table: _Table, rows: list[Row], columns: Sequence[int]) -> Float[np.ndarray, "row column"]:
     values = np.empty((len(rows), len(columns)))
     for i, (line, row) in enumerate(rows):
         for j, column in enumerate(columns):

@@ -1,19 +1,12 @@
-"""Datasets of demonstrations: ragged trajectories in immutable shards, under one sealed manifest.
-
-    DIR/manifest.json              what the states mean, the model, and each shard with its SHA-256
-    DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
-    DIR/log.jsonl                  dates and wall times, outside every hash
+"""Demonstrations in memory: ragged trajectories laid end to end, and what their numbers are.
 
 An episode has T + 1 states and times and T controls: control k is held from state k to state k + 1.
 """
 
 import hashlib
-import json
 import math
-import re
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import mujoco
@@ -23,22 +16,8 @@ from jaxtyping import Float, Int
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import load_model
 from planspace.physics.space import StateSpace
-from planspace.store import (
-    differences,
-    json_hash,
-    make_folder,
-    read_arrays,
-    read_described,
-    refusing_nonsense,
-    write_arrays,
-    write_sealed,
-)
+from planspace.store import json_hash
 
-SCHEMA = 1
-MANIFEST = "manifest.json"
-MINARI_PREFIX = "minari:"
-ARRAYS = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
-"""What a shard holds."""
 SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
 """Shares of the demonstrations; the rest is the test split."""
 
@@ -144,7 +123,7 @@ class Demos:
         if not episodes:
             raise PlanspaceError("there are no demonstrations.")
         for episode in episodes:
-            _check_episode(info, episode)
+            check_episode(info, episode)
         lengths = [len(e.states) for e in episodes]
         return cls(
             info=info,
@@ -214,10 +193,7 @@ class Demos:
     @property
     def hash(self) -> str:
         """SHA-256 of the content, however it is cut into shards."""
-        digest = hashlib.sha256(json_hash(asdict(self.info)).encode())
-        for array in (self.states, self.controls, self.times, self.offsets, self.goals):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
+        return content_hash(self.info, lambda name: [getattr(self, name)])
 
     def split(self, seed: int) -> dict[str, np.ndarray]:
         """Splits the demonstrations 80/10/10 into `train`, `validation` and `test`, by whole episodes.
@@ -236,184 +212,27 @@ class Demos:
         }
 
 
-class DemoFolder:
-    """A dataset on disk that grows shard by shard; each shard is on disk before the next is begun."""
-
-    def __init__(self, path: Path, info: StateInfo, settings: dict[str, Any]):
-        """Opens a folder, new or to be continued.
-
-        Args:
-            path: the folder.
-            info: what the states are.
-            settings: what decides the content (problem hash, seed, planner); kept in the manifest.
-
-        Raises:
-            PlanspaceError: it cannot be written, or holds a dataset made with other settings.
-        """
-        self.path = make_folder(path)
-        self._info, self._settings = info, settings
-        self.shards: list[dict[str, Any]] = []
-        self.next_index = 0
-        if (path / MANIFEST).exists():
-            manifest, _ = _described(path)
-            if manifest["settings"] != json.loads(json.dumps(settings)):
-                was = "; ".join(differences(manifest["settings"], settings))
-                raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
-            self.shards = manifest["shards"]
-            self.next_index = manifest["next_index"]
-
-    @property
-    def num_episodes(self) -> int:
-        """Episodes on disk."""
-        return sum(shard["episodes"] for shard in self.shards)
-
-    def append(self, episodes: Sequence[Episode], next_index: int) -> None:
-        """Commits episodes as one shard.
-
-        Args:
-            episodes: may be empty, when every attempt of a stretch failed.
-            next_index: the first index that has not been tried yet.
-        """
-        if episodes:
-            demos = Demos.from_episodes(self._info, episodes)
-            name = f"shard-{len(self.shards):05d}.safetensors"
-            sha256 = write_arrays(self.path / name, _arrays(demos))
-            shard = {"file": name, "sha256": sha256, "episodes": len(demos), "states": len(demos.states)}
-            self.shards = [*self.shards, shard]
-        self.next_index = next_index
-        write_sealed(
-            self.path / MANIFEST,
-            {
-                "schema": SCHEMA,
-                "kind": "demos",
-                "info": asdict(self._info),
-                "settings": self._settings,
-                "next_index": next_index,
-                "shards": self.shards,
-            },
-        )
-
-
-def load_demos(path: str | Path) -> Demos:
-    """Reads a dataset and verifies every shard.
+def content_hash(info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]]) -> str:
+    """SHA-256 of demonstrations.
 
     Args:
-        path: its folder; or `minari:ID`, a dataset that Minari has on this machine.
+        info: what their states are.
+        parts: an array by its name, in parts that lie end to end, wherever they are cut.
+    """
+    digest = hashlib.sha256(json_hash(asdict(info)).encode())
+    for name in ("states", "controls", "times", "offsets", "goals"):
+        for part in parts(name):
+            digest.update(np.ascontiguousarray(part, dtype=int if name == "offsets" else float).data)
+    return digest.hexdigest()
+
+
+def check_episode(info: StateInfo, episode: Episode) -> None:
+    """Refuses an episode that is none.
 
     Raises:
-        PlanspaceError: no dataset, a newer schema, or a missing or altered shard (which is named).
+        PlanspaceError: its arrays do not fit together or with `info`, or a number is not finite (the place is
+            named).
     """
-    if str(path).startswith(MINARI_PREFIX):
-        from planspace.demos.convert import minari_demos  # which stands on this module
-
-        return minari_demos(str(path))
-    path = Path(path)
-    manifest, info = _described(path)
-    with refusing_nonsense(path / MANIFEST):
-        parts = [_read_shard(path, shard, info) for shard in manifest["shards"]]
-    if not parts:
-        raise PlanspaceError(f"{path} holds no demonstrations.")
-    lengths = np.concatenate([np.diff(part["offsets"]) for part in parts])
-    return Demos(
-        info=info,
-        offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        **{key: np.concatenate([part[key] for part in parts]) for key in ARRAYS if key != "offsets"},
-    )
-
-
-def keep_whole_shards(path: Path) -> list[tuple[Path, str]]:
-    """Leaves out the shards from the first damaged one on; the same command makes them again.
-
-    Args:
-        path: the dataset's folder.
-
-    Returns:
-        The damaged shard, which the manifest no longer names, and what is wrong with it.
-
-    Raises:
-        PlanspaceError: the manifest itself is damaged.
-    """
-    manifest, info = _described(path)
-    next_index = 0
-    for number, shard in enumerate(manifest["shards"]):
-        try:
-            with refusing_nonsense(path / MANIFEST):
-                next_index = int(_read_shard(path, shard, info)["indices"][-1]) + 1
-        except PlanspaceError as error:
-            kept = {"shards": manifest["shards"][:number], "next_index": next_index}
-            write_sealed(path / MANIFEST, {**manifest, **kept})
-            return [(path / Path(str(shard["file"])).name, str(error))]
-    return []
-
-
-def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
-    """A dataset's manifest, and what it says of the states."""
-    manifest = _read_manifest(path)
-    with refusing_nonsense(path / MANIFEST):
-        known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
-        known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
-        info = StateInfo(**known)
-        _check_info(info)
-        _ = manifest["settings"], int(manifest["next_index"])
-        _ = [(shard["file"], shard["sha256"], int(shard["episodes"])) for shard in manifest["shards"]]
-    return manifest, info
-
-
-def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str, np.ndarray]:
-    """Reads and verifies a shard of which the manifest says this."""
-    if not re.fullmatch(r"shard-\d{5,9}\.safetensors", str(shard["file"])):
-        raise ValueError(f"{shard['file']!r} is no name of a shard")
-    file = path / shard["file"]
-    arrays = read_arrays(file, sha256=str(shard["sha256"]))
-    with refusing_nonsense(file):
-        _check_arrays(arrays, shard, info)
-    return arrays
-
-
-def _check_info(info: StateInfo) -> None:
-    size, angles = len(info.names), (*info.circular_columns, *info.quaternion_columns)
-    texts = (*info.names, *info.units, *info.joints, info.problem, info.mjcf)
-    numbers = (*angles, info.num_controls)
-    if not all(isinstance(text, str) for text in texts) or not all(type(n) is int for n in numbers):
-        raise TypeError("what it says of the states is of the wrong kinds")
-    if not size or len(info.units) != size or not all(0 <= column < size for column in angles):
-        raise ValueError("what it says of the states does not fit together")
-
-
-def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: StateInfo) -> None:
-    num, rows = int(shard["episodes"]), int(shard["states"])
-    shapes = {
-        "states": (rows, len(info.names)),
-        "controls": (rows - num, info.num_controls),
-        "times": (rows,),
-        "offsets": (num + 1,),
-        "goals": (num, len(info.names)),
-        **dict.fromkeys(("success", "indices", "seeds", "costs"), (num,)),
-    }
-    for name, shape in shapes.items():
-        kind = {"offsets": "i", "indices": "i", "seeds": "i", "success": "b"}.get(name, "f")
-        if arrays[name].shape != shape or arrays[name].dtype.kind != kind:
-            raise ValueError(f"{name} has shape {arrays[name].shape} and type {arrays[name].dtype}")
-    offsets = arrays["offsets"]
-    if offsets[0] != 0 or offsets[-1] != rows or not (np.diff(offsets) > 0).all():
-        raise ValueError("its demonstrations do not lie end to end")
-    for name in ("states", "controls", "times"):
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} holds a number that is not finite")
-
-
-def _read_manifest(path: Path) -> dict[str, Any]:
-    file = path / MANIFEST
-    if not file.exists():
-        raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
-    return read_described(file, kind="demos", schema=SCHEMA, name="demo dataset")
-
-
-def _arrays(demos: Demos) -> dict[str, np.ndarray]:
-    return {name: getattr(demos, name) for name in ARRAYS}
-
-
-def _check_episode(info: StateInfo, episode: Episode) -> None:
     where = f"demonstration {episode.index}"
     num_states, size = episode.states.shape
     if size != len(info.names) or episode.controls.shape[1] != info.num_controls:

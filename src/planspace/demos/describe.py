@@ -1,15 +1,16 @@
 """What a dataset holds, and whether it is what it says it is."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import MANIFEST, MINARI_PREFIX, Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.apart import compile_apart
 from planspace.physics.simulate import replay
-from planspace.store import read_sealed
 
 REPLAY_TOLERANCE = 1e-6
 """Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
@@ -17,17 +18,21 @@ REPLAY_TOLERANCE = 1e-6
 
 def describe(folder: Path) -> dict[str, Any]:
     """Counts, sizes and durations of a dataset."""
-    demos = load_demos(folder)
-    lengths, durations = np.diff(demos.offsets), demos.times[demos.offsets[1:] - 1]
+    demos = _opened(folder)
+    info, lengths, reached = demos.info, np.diff(demos.offsets), 0
+    durations = np.empty(len(demos))
+    for first, part in _parts(demos):
+        durations[first : first + len(part)] = part.times[part.offsets[1:] - 1]
+        reached += int(part.success.sum())
     return {
         "demonstrations": len(demos),
-        "states": len(demos.states),
-        "reached_goal": int(demos.success.sum()),
-        "state": dict(zip(demos.info.names, demos.info.units, strict=True)),
-        "circular": [demos.info.names[c] for c in demos.info.circular_columns],
-        "controls": demos.info.num_controls,
-        "problem": demos.info.problem,
-        "made_by": _origin(folder),
+        "states": int(demos.offsets[-1]),
+        "reached_goal": reached,
+        "state": dict(zip(info.names, info.units, strict=True)),
+        "circular": [info.names[c] for c in info.circular_columns],
+        "controls": info.num_controls,
+        "problem": info.problem,
+        "made_by": _origin(demos, folder),
         "states_a_demonstration": _spread(lengths),
         "duration_s": _spread(durations),
         "hash": demos.hash,
@@ -45,24 +50,33 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
     Raises:
         PlanspaceError: something does not hold; the shard or demonstration is named.
     """
-    demos = load_demos(folder)
-    if not (np.isfinite(demos.states).all() and np.isfinite(demos.controls).all()):
-        raise PlanspaceError(f"{folder} holds a number that is not finite.")
-    for i in range(len(demos)):
-        if (np.diff(demos.episode(i).times) <= 0).any():
-            raise PlanspaceError(f"{folder}: the times of demonstration {i} do not rise.")
+    demos = _opened(folder)
+    if replay_controls and untrusted:
+        compile_apart(demos.info.mjcf)
+    worst = 0.0
+    for first, part in _parts(demos):
+        _check_times(part, first, folder)
+        if replay_controls:
+            worst = max(worst, _check_replay(part, first, folder))
     found: dict[str, Any] = {"demonstrations": len(demos), "hash": demos.hash}
-    if replay_controls:
-        if untrusted:
-            compile_apart(demos.info.mjcf)
-        errors = replay_errors(demos)
-        if not errors.max() <= REPLAY_TOLERANCE:  # it may be no number, where physics run away
-            raise PlanspaceError(
-                f"{folder}: replaying the controls of demonstration {int(errors.argmax())} misses its states "
-                f"by up to {errors.max():.2g}; another MuJoCo recorded it, or it is no record of this model."
-            )
-        found["replay_error"] = float(errors.max())
-    return found
+    return found | ({"replay_error": worst} if replay_controls else {})
+
+
+def _check_times(part: Demos, first: int, folder: Path) -> None:
+    for i in range(len(part)):
+        if (np.diff(part.episode(i).times) <= 0).any():
+            raise PlanspaceError(f"{folder}: the times of demonstration {first + i} do not rise.")
+
+
+def _check_replay(part: Demos, first: int, folder: Path) -> float:
+    errors = replay_errors(part)
+    if not errors.max() <= REPLAY_TOLERANCE:  # it may be no number, where physics run away
+        raise PlanspaceError(
+            f"{folder}: replaying the controls of demonstration {first + int(errors.argmax())} misses its "
+            f"states by up to {errors.max():.2g}; another MuJoCo recorded it, or it is no record of this "
+            "model."
+        )
+    return float(errors.max())
 
 
 def replay_errors(demos: Demos) -> np.ndarray:
@@ -80,12 +94,23 @@ def replay_errors(demos: Demos) -> np.ndarray:
     return np.array(errors)
 
 
-def _origin(folder: Path) -> dict[str, Any]:
+def _opened(folder: Path) -> Demos | StoredDemos:
+    return load_demos(folder) if str(folder).startswith(MINARI_PREFIX) else StoredDemos(folder)
+
+
+def _parts(demos: Demos | StoredDemos) -> Iterator[tuple[int, Demos]]:
+    """The number of its first demonstration, and a shard; one in memory at a time."""
+    first = 0
+    for part in [demos] if isinstance(demos, Demos) else demos.shards():
+        yield first, part
+        first += len(part)
+
+
+def _origin(demos: Demos | StoredDemos, folder: Path) -> dict[str, Any]:
     """What planned the demonstrations, or where they were imported from."""
-    if str(folder).startswith(MINARI_PREFIX):
+    if isinstance(demos, Demos):
         return {"imported": str(folder)}
-    settings = read_sealed(folder / MANIFEST)["settings"]
-    return {key: settings[key] for key in ("planner", "seed", "imported") if key in settings}
+    return {key: demos.settings[key] for key in ("planner", "seed", "imported") if key in demos.settings}
 
 
 def _spread(x: np.ndarray) -> dict[str, float]:

@@ -5,6 +5,7 @@ environment: running code that a file names is how a machine is taken over.
 """
 
 import importlib.util
+import itertools
 import re
 import shutil
 import warnings
@@ -56,8 +57,8 @@ def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions)
     task = recorded_task(metadata, dataset_id) if ours is None and not options.states else None
     step, notices = _step(metadata, options, task)
     info = info or ours or (task.info if task else None)
-    episodes: list[Episode] = []
-    for i, (data, extra) in enumerate(pairs):
+
+    def read(i: int, data: Any, extra: dict[str, Any]) -> Episode:
         where = f"{dataset_id}, episode {i}"
         if task:
             assert info is not None
@@ -65,21 +66,23 @@ def read_minari(dataset_id: str, info: StateInfo | None, options: ImportOptions)
         else:
             states = choose_states(data.observations, info, options, where)
         controls = flat(data.actions, f"the actions of {where}")
-        if info is None:
-            info = anonymous_info(states.shape[1], controls.shape[1])
-            if options.states:
-                info = replace(info, names=tuple(options.states))
         if ours is None:
-            episodes.append(recorded(states, controls, np.arange(len(states)) * step, i))
-        else:
-            controls = controls[:, : ours.num_controls]  # our exporter stands in for no control with one 0
-            episodes.append(_our_episode(states, controls, data.infos, extra, where))
-    assert info is not None
+            return recorded(states, controls, np.arange(len(states)) * step, i)
+        # our exporter stands in for no control with one 0
+        return _our_episode(states, controls[:, : ours.num_controls], data.infos, extra, where)
+
+    episodes = (read(i, data, extra) for i, (data, extra) in enumerate(pairs))
+    if info is None:
+        first = next(episodes)
+        info = anonymous_info(first.states.shape[1], first.controls.shape[1])
+        if options.states:
+            info = replace(info, names=tuple(options.states))
+        episodes = itertools.chain([first], episodes)
     return Imported(info, episodes, () if ours else notices)
 
 
-def _load(dataset_id: str) -> tuple[dict[str, Any], list[tuple[Any, dict[str, Any]]]]:
-    """The dataset's metadata, and each of its episodes with the metadata it has."""
+def _load(dataset_id: str) -> tuple[dict[str, Any], Iterator[tuple[Any, dict[str, Any]]]]:
+    """The dataset's metadata, and each of its episodes in turn with the metadata it has."""
     minari = _minari()
     file = _folder(dataset_id) / "data" / "metadata.json"
     if not file.exists():
@@ -95,11 +98,16 @@ def _load(dataset_id: str) -> tuple[dict[str, Any], list[tuple[Any, dict[str, An
             )
     with _explained(f"Minari cannot read {dataset_id!r}"):
         dataset = minari.load_dataset(dataset_id)
-        extras = dataset.storage.get_episode_metadata(dataset.episode_indices)
-        pairs = list(zip(dataset, extras, strict=True))
-    if not pairs:
+        num = len(dataset.episode_indices)
+    if num == 0:
         raise PlanspaceError(f"the Minari dataset {dataset_id!r} holds no episodes.")
-    return metadata, pairs
+    return metadata, _pairs(dataset, dataset_id)
+
+
+def _pairs(dataset: Any, dataset_id: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    with _explained(f"Minari cannot read {dataset_id!r}"):
+        extras = dataset.storage.get_episode_metadata(dataset.episode_indices)
+        yield from zip(dataset, extras, strict=True)
 
 
 def _our_info(metadata: dict[str, Any], dataset_id: str) -> StateInfo | None:

@@ -1,7 +1,7 @@
 """What the importers have in common: options, a demonstration as a file has it, and what a source gave."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,7 +35,8 @@ class Imported:
     """What a source holds."""
 
     info: StateInfo
-    episodes: list[Episode]
+    episodes: Iterable[Episode]
+    """The demonstrations in order; most sources are read as they are asked for, once."""
     notices: tuple[str, ...] = ()
     """What was assumed, one line each."""
     keep_angles: bool = False

@@ -3,7 +3,7 @@
 Triplets are cut in steps, so a step should last as long everywhere in a dataset.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -38,20 +38,33 @@ def with_continuous_angles(episode: Episode, info: StateInfo, *, keep_windings: 
     return replace(episode, states=states)
 
 
-def common_step(episodes: Sequence[Episode], info: StateInfo) -> float | None:
+def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> float | None:
     """The step a dataset is to have, or None if all its steps are as long as each other.
 
     It is the median of all steps; where there is a model, the nearest whole number (at least 1) of its time
     steps, so that controls can be replayed.
+
+    Args:
+        steps: gives the lengths of all steps [s], in parts; all at once they are in memory only where they
+            are not even.
+        info: says which model.
     """
-    steps = np.concatenate([np.diff(e.times) for e in episodes])
-    step = float(np.median(steps))
-    if _even(steps, step):
+    extremes = np.array([(part.min(), part.max()) for part in steps() if len(part)])
+    if len(extremes) == 0 or _even(extremes, extremes.min()):  # and so from any of them
+        return None
+    every = np.concatenate(list(steps()))
+    step = float(np.median(every))
+    if _even(every, step):
         return None
     if info.mjcf:
         model_step = float(info.compile()[0].opt.timestep)
         step = max(1, round(step / model_step)) * model_step
     return step
+
+
+def has_step(episode: Episode, step: float) -> bool:
+    """Whether an episode comes back from `resample` as it is."""
+    return _num_steps(episode, step) == 0 or _even(np.diff(episode.times), step)
 
 
 def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
@@ -62,18 +75,20 @@ def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
     quaternions are brought back to length one); a control is the one in force when the step begins. An
     episode shorter than one step stays as it is.
     """
-    duration = float(episode.times[-1])
-    num_steps = int(np.floor(duration / step + SAME_INSTANT))
-    if num_steps == 0 or _even(np.diff(episode.times), step):
+    if has_step(episode, step):
         return episode
-    times = np.arange(num_steps + 1) * step
-    instants = times + (duration - times[-1])
+    times = np.arange(_num_steps(episode, step) + 1) * step
+    instants = times + (float(episode.times[-1]) - times[-1])
     states = np.stack([np.interp(instants, episode.times, x) for x in episode.states.T], axis=1)
     for first in info.quaternion_columns:
         states[:, first : first + 4] = normalise(states[:, first : first + 4])
     in_force = np.searchsorted(episode.times, instants[:-1] + SAME_INSTANT * step, side="right") - 1
     in_force = np.clip(in_force, 0, len(episode.controls) - 1)
     return replace(episode, states=states, controls=episode.controls[in_force], times=times)
+
+
+def _num_steps(episode: Episode, step: float) -> int:
+    return int(np.floor(float(episode.times[-1]) / step + SAME_INSTANT))
 
 
 def _even(steps: np.ndarray, step: float) -> bool:

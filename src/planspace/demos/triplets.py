@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from planspace.demos.dataset import Demos
+from planspace.demos.folder import StoredDemos
 from planspace.errors import PlanspaceError
 
 
@@ -41,7 +42,7 @@ def triplet_rows(
 
 
 def random_triplets(
-    demos: Demos,
+    demos: Demos | StoredDemos,
     episodes: Int[np.ndarray, " demo"],
     num: int,
     rng: np.random.Generator,
@@ -54,29 +55,26 @@ def random_triplets(
     log-uniform from the nearest state alone to all.
 
     Args:
-        demos: the dataset.
+        demos: the dataset; one that is stored is not read for it.
         episodes: which demonstrations.
         num: how many triplets.
         rng: where the draws come from.
         near: of how many triplets the share is drawn, from 0 to 1.
 
     Returns:
-        Row numbers into `demos.states`.
+        Row numbers into `demos.states`, or for `demos.states_at`.
 
     Raises:
         PlanspaceError: no demonstration has three states.
     """
-    inner, first, last = [], [], []
-    for i in episodes:
-        a, b = int(demos.offsets[i]), int(demos.offsets[i + 1]) - 1
-        inside = np.arange(a + 1, b)
-        inner.append(inside)
-        first.append(np.full(len(inside), a))
-        last.append(np.full(len(inside), b))
-    rows = np.stack([np.concatenate(part) for part in (first, inner, last)], axis=1)
-    if len(rows) == 0:
+    first, last = demos.offsets[episodes], demos.offsets[episodes + 1] - 1
+    inner = np.cumsum(np.maximum(last - first - 1, 0))  # how many inner states up to each demonstration's end
+    if len(inner) == 0 or inner[-1] == 0:
         raise PlanspaceError("no demonstration has the 3 states that a triplet needs.")
-    first, t, last = rows[rng.integers(len(rows), size=num)].T
+    drawn = rng.integers(inner[-1], size=num)
+    chosen = np.searchsorted(inner, drawn, side="right")
+    first, last = first[chosen], last[chosen]
+    t = last - (inner[chosen] - drawn)
     before, after = t - first, last - t
     share = np.maximum(before, after) ** -rng.uniform(size=num)
     share[rng.uniform(size=num) >= near] = 1.0

@@ -15,7 +15,8 @@ import numpy as np
 
 import planspace
 from planspace.cores import count_cores, end_with_parent, worker_environment
-from planspace.demos.dataset import DemoFolder, Episode, StateInfo
+from planspace.demos.dataset import Episode, StateInfo
+from planspace.demos.folder import DemoFolder
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
 from planspace.plan.ompl import check_ompl
@@ -49,8 +50,8 @@ def generate(
         num: how many plans it is to hold.
         seed: the seed of all of them.
         config: planner settings; by default the problem's own.
-        workers: processes; by default one for each CPU. 0 plans in this one, where linear algebra may use
-            several threads, and round otherwise.
+        workers: processes; by default one for each CPU. 0 plans in this one, where linear algebra may take
+            several threads and other kernels, and round otherwise.
 
     Returns:
         The folder.

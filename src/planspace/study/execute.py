@@ -19,7 +19,8 @@ import numpy as np
 
 import planspace
 from planspace.cores import count_cores
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import load_demos
 from planspace.embed.curves import read_log
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit

@@ -8,7 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 import planspace
-from planspace.demos.dataset import Demos, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import DemoFolder, Episode
+from planspace.demos.dataset import Episode
+from planspace.demos.folder import DemoFolder
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import Simulator
 from planspace.plan.generate import SHARD_EPISODES, state_info

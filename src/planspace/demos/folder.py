@@ -1,0 +1,289 @@
+"""A dataset on disk: immutable shards under one sealed manifest, read and grown a shard at a time.
+
+DIR/manifest.json              what the states mean, the model, and each shard with its SHA-256
+DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
+DIR/log.jsonl                  dates and wall times, outside every hash
+"""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from planspace.demos.dataset import Demos, Episode, StateInfo, content_hash
+from planspace.errors import PlanspaceError
+from planspace.store import (
+    differences,
+    make_folder,
+    read_array,
+    read_arrays,
+    read_described,
+    refusing_nonsense,
+    write_arrays,
+    write_sealed,
+)
+
+SCHEMA = 1
+MANIFEST = "manifest.json"
+MINARI_PREFIX = "minari:"
+ARRAYS = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
+"""What a shard holds."""
+
+
+def load_demos(path: str | Path) -> Demos:
+    """Reads a dataset and verifies every shard.
+
+    Args:
+        path: its folder; or `minari:ID`, a dataset that Minari has on this machine.
+
+    Raises:
+        PlanspaceError: no dataset, a newer schema, or a missing or altered shard (which is named).
+    """
+    if str(path).startswith(MINARI_PREFIX):
+        from planspace.demos.convert import minari_demos  # which stands on this module
+
+        return minari_demos(str(path))
+    return StoredDemos(Path(path)).load()
+
+
+class StoredDemos:
+    """A dataset on disk, of which one shard at a time is in memory."""
+
+    def __init__(self, path: Path):
+        """Opens a dataset.
+
+        Args:
+            path: its folder.
+
+        Raises:
+            PlanspaceError: it is none, holds no demonstrations, is damaged, or of a newer schema.
+        """
+        manifest, self.info = _described(path)
+        self.path, self.settings = path, manifest["settings"]
+        self._shards: list[dict[str, Any]] = manifest["shards"]
+        if not self._shards:
+            raise PlanspaceError(f"{path} holds no demonstrations.")
+
+    def __len__(self) -> int:
+        """How many demonstrations."""
+        return sum(int(shard["episodes"]) for shard in self._shards)
+
+    def shards(self) -> Iterator[Demos]:
+        """The demonstrations of each shard in turn, verified.
+
+        Raises:
+            PlanspaceError: a shard is missing or altered (it is named).
+        """
+        for shard in self._shards:
+            yield Demos(info=self.info, **self._read(shard))
+
+    def episodes(self) -> Iterator[Episode]:
+        """The demonstrations in turn; raises as `shards()`."""
+        for part in self.shards():
+            yield from (part.episode(i) for i in range(len(part)))
+
+    def load(self) -> Demos:
+        """All of it.
+
+        Raises:
+            PlanspaceError: a shard is missing or altered (it is named).
+        """
+        parts = [self._read(shard) for shard in self._shards]
+        offsets = _end_to_end([part.pop("offsets") for part in parts])
+        whole = {key: np.concatenate([part.pop(key) for part in parts]) for key in ARRAYS if key != "offsets"}
+        return Demos(info=self.info, offsets=offsets, **whole)
+
+    @cached_property
+    def offsets(self) -> Int[np.ndarray, " bound"]:
+        """Where each demonstration begins among all states; the last number is where they end."""
+        return _end_to_end(list(self._each("offsets")))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the content, the same as of `load()`; of shards that `shards()` has verified."""
+        return content_hash(self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name))
+
+    def states_at(self, rows: Int[np.ndarray, "*any"]) -> Float[np.ndarray, "*any state"]:
+        """The states of some rows, such as `random_triplets` draws; as `load().states[rows]`.
+
+        Args:
+            rows: numbers of states, those of all shards laid end to end.
+
+        Raises:
+            PlanspaceError: a shard is missing or altered (it is named).
+        """
+        states = np.empty((*rows.shape, len(self.info.names)))
+        first = 0
+        for shard in self._shards:
+            part = self._read(shard)["states"]
+            here = (rows >= first) & (rows < first + len(part))
+            states[here] = part[rows[here] - first]
+            first += len(part)
+        return states
+
+    def _read(self, shard: dict[str, Any]) -> dict[str, np.ndarray]:
+        with refusing_nonsense(self.path / MANIFEST):
+            return _read_shard(self.path, shard, self.info)
+
+    def _each(self, name: str) -> Iterator[np.ndarray]:
+        with refusing_nonsense(self.path / MANIFEST):
+            files = [_shard_file(self.path, shard) for shard in self._shards]
+        return (read_array(file, name) for file in files)
+
+
+class DemoFolder:
+    """A dataset on disk that grows shard by shard; each shard is on disk before the next is begun."""
+
+    def __init__(self, path: Path, info: StateInfo, settings: dict[str, Any]):
+        """Opens a folder, new or to be continued.
+
+        Args:
+            path: the folder.
+            info: what the states are.
+            settings: what decides the content (problem hash, seed, planner); kept in the manifest.
+
+        Raises:
+            PlanspaceError: it cannot be written, or holds a dataset made with other settings.
+        """
+        self.path = make_folder(path)
+        self._info, self._settings = info, settings
+        self.shards: list[dict[str, Any]] = []
+        self.next_index = 0
+        if (path / MANIFEST).exists():
+            manifest, _ = _described(path)
+            if manifest["settings"] != json.loads(json.dumps(settings)):
+                was = "; ".join(differences(manifest["settings"], settings))
+                raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
+            self.shards = manifest["shards"]
+            self.next_index = manifest["next_index"]
+
+    @property
+    def num_episodes(self) -> int:
+        """Episodes on disk."""
+        return sum(shard["episodes"] for shard in self.shards)
+
+    def append(self, episodes: Sequence[Episode], next_index: int) -> None:
+        """Commits episodes as one shard.
+
+        Args:
+            episodes: may be empty, when every attempt of a stretch failed.
+            next_index: the first index that has not been tried yet.
+        """
+        if episodes:
+            demos = Demos.from_episodes(self._info, episodes)
+            name = f"shard-{len(self.shards):05d}.safetensors"
+            sha256 = write_arrays(self.path / name, {key: getattr(demos, key) for key in ARRAYS})
+            shard = {"file": name, "sha256": sha256, "episodes": len(demos), "states": len(demos.states)}
+            self.shards = [*self.shards, shard]
+        self.next_index = next_index
+        write_sealed(
+            self.path / MANIFEST,
+            {
+                "schema": SCHEMA,
+                "kind": "demos",
+                "info": asdict(self._info),
+                "settings": self._settings,
+                "next_index": next_index,
+                "shards": self.shards,
+            },
+        )
+
+
+def keep_whole_shards(path: Path) -> list[tuple[Path, str]]:
+    """Leaves out the shards from the first damaged one on; the same command makes them again.
+
+    Args:
+        path: the dataset's folder.
+
+    Returns:
+        The damaged shard, which the manifest no longer names, and what is wrong with it.
+
+    Raises:
+        PlanspaceError: the manifest itself is damaged.
+    """
+    manifest, info = _described(path)
+    next_index = 0
+    for number, shard in enumerate(manifest["shards"]):
+        try:
+            with refusing_nonsense(path / MANIFEST):
+                next_index = int(_read_shard(path, shard, info)["indices"][-1]) + 1
+        except PlanspaceError as error:
+            kept = {"shards": manifest["shards"][:number], "next_index": next_index}
+            write_sealed(path / MANIFEST, {**manifest, **kept})
+            return [(path / Path(str(shard["file"])).name, str(error))]
+    return []
+
+
+def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
+    """A dataset's manifest, and what it says of the states."""
+    file = path / MANIFEST
+    if not file.exists():
+        raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
+    manifest = read_described(file, kind="demos", schema=SCHEMA, name="demo dataset")
+    with refusing_nonsense(file):
+        known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
+        known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
+        info = StateInfo(**known)
+        _check_info(info)
+        _ = manifest["settings"], int(manifest["next_index"])
+        _ = [(shard["file"], shard["sha256"], int(shard["episodes"])) for shard in manifest["shards"]]
+    return manifest, info
+
+
+def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str, np.ndarray]:
+    """Reads and verifies a shard of which the manifest says this."""
+    file = _shard_file(path, shard)
+    arrays = read_arrays(file, sha256=str(shard["sha256"]))
+    with refusing_nonsense(file):
+        _check_arrays(arrays, shard, info)
+    return {name: arrays[name] for name in ARRAYS}
+
+
+def _shard_file(path: Path, shard: dict[str, Any]) -> Path:
+    if not re.fullmatch(r"shard-\d{5,9}\.safetensors", str(shard["file"])):
+        raise ValueError(f"{shard['file']!r} is no name of a shard")
+    return path / shard["file"]
+
+
+def _check_info(info: StateInfo) -> None:
+    size, angles = len(info.names), (*info.circular_columns, *info.quaternion_columns)
+    texts = (*info.names, *info.units, *info.joints, info.problem, info.mjcf)
+    numbers = (*angles, info.num_controls)
+    if not all(isinstance(text, str) for text in texts) or not all(type(n) is int for n in numbers):
+        raise TypeError("what it says of the states is of the wrong kinds")
+    if not size or len(info.units) != size or not all(0 <= column < size for column in angles):
+        raise ValueError("what it says of the states does not fit together")
+
+
+def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: StateInfo) -> None:
+    num, rows = int(shard["episodes"]), int(shard["states"])
+    shapes = {
+        "states": (rows, len(info.names)),
+        "controls": (rows - num, info.num_controls),
+        "times": (rows,),
+        "offsets": (num + 1,),
+        "goals": (num, len(info.names)),
+        **dict.fromkeys(("success", "indices", "seeds", "costs"), (num,)),
+    }
+    for name, shape in shapes.items():
+        kind = {"offsets": "i", "indices": "i", "seeds": "i", "success": "b"}.get(name, "f")
+        if arrays[name].shape != shape or arrays[name].dtype.kind != kind:
+            raise ValueError(f"{name} has shape {arrays[name].shape} and type {arrays[name].dtype}")
+    offsets = arrays["offsets"]
+    if offsets[0] != 0 or offsets[-1] != rows or not (np.diff(offsets) > 0).all():
+        raise ValueError("its demonstrations do not lie end to end")
+    for name in ("states", "controls", "times"):
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} holds a number that is not finite")
+
+
+def _end_to_end(offsets: Sequence[np.ndarray]) -> Int[np.ndarray, " bound"]:
+    """The offsets of parts as those of the whole."""
+    lengths = np.concatenate([np.diff(part) for part in offsets])
+    return np.concatenate([[0], np.cumsum(lengths)])

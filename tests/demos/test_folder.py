@@ -1,0 +1,108 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
+from planspace.demos.triplets import random_triplets
+from planspace.errors import PlanspaceError
+from planspace.store import read_sealed, write_sealed
+
+INFO = StateInfo(("x", "v"), ("m", "m/s"), (), 1)
+
+
+def episode(index: int, length: int = 5) -> Episode:
+    states = np.arange(2.0 * length).reshape(length, 2) + index
+    return Episode(
+        states, np.ones((length - 1, 1)), np.arange(length) * 0.1, np.zeros(2), True, index, seed=0
+    )
+
+
+def test_shards_lie_end_to_end_whatever_the_cuts(tmp_path: Path) -> None:
+    one, three = DemoFolder(tmp_path / "one", INFO, {}), DemoFolder(tmp_path / "three", INFO, {})
+    episodes = [episode(0), episode(1, 3), episode(2, 7)]
+    one.append(episodes, 3)
+    for i, e in enumerate(episodes):
+        three.append([e], i + 1)
+    a, b = load_demos(tmp_path / "one"), load_demos(tmp_path / "three")
+    assert a.hash == b.hash
+    for i, e in enumerate(episodes):
+        np.testing.assert_array_equal(b.episode(i).states, e.states)
+        np.testing.assert_array_equal(b.episode(i).controls, e.controls)
+    changed = Demos.from_episodes(INFO, [*episodes[:2], episode(3, 7)])
+    assert changed.hash != a.hash
+
+
+def test_a_missing_or_altered_shard_is_named(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    shard = tmp_path / "shard-00000.safetensors"
+    data = bytearray(shard.read_bytes())
+    data[-1] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(PlanspaceError, match=r"shard-00000.safetensors was altered or damaged"):
+        load_demos(tmp_path)
+    shard.unlink()
+    with pytest.raises(PlanspaceError, match=r"cannot read .*shard-00000.safetensors: No such file"):
+        load_demos(tmp_path)
+
+
+def test_an_altered_manifest_is_found(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"m/s"', '"km/h"'))
+    with pytest.raises(PlanspaceError, match="does not match its own checksum"):
+        load_demos(tmp_path)
+
+
+def test_other_settings_are_refused_with_the_difference(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {"seed": 0}).append([episode(0)], 1)
+    with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 1"):
+        DemoFolder(tmp_path, INFO, {"seed": 1})
+
+
+def test_nan_is_refused_with_its_place(tmp_path: Path) -> None:
+    bad = episode(4)
+    bad.states[3, 1] = np.nan
+    with pytest.raises(PlanspaceError, match="demonstration 4 holds a state that is not finite, in row 3"):
+        DemoFolder(tmp_path, INFO, {}).append([bad], 1)
+    assert not (tmp_path / "manifest.json").exists()
+
+
+def test_a_stored_dataset_is_read_a_shard_at_a_time(tmp_path: Path) -> None:
+    folder = DemoFolder(tmp_path, INFO, {})
+    folder.append([episode(0), episode(1, 3)], 2)
+    folder.append([episode(2, 7)], 3)
+    stored, whole = StoredDemos(tmp_path), load_demos(tmp_path)
+    assert [len(part) for part in stored.shards()] == [2, 1] and len(stored) == 3
+    assert stored.hash == whole.hash
+    np.testing.assert_array_equal(stored.offsets, whole.offsets)
+    for i, e in enumerate(stored.episodes()):
+        np.testing.assert_array_equal(e.states, whole.episode(i).states)
+        assert e.index == i
+    rows = [random_triplets(d, np.array([0, 2]), 50, np.random.default_rng(0), 0.5) for d in (stored, whole)]
+    np.testing.assert_array_equal(*rows)
+    np.testing.assert_array_equal(stored.states_at(rows[0]), whole.states[rows[0]])
+
+
+def test_a_hash_is_of_numbers_not_of_their_types(tmp_path: Path) -> None:
+    single = replace(episode(0), states=episode(0).states.astype(np.float32))
+    DemoFolder(tmp_path, INFO, {}).append([single], 1)
+    assert (
+        StoredDemos(tmp_path).hash
+        == load_demos(tmp_path).hash
+        == Demos.from_episodes(INFO, [episode(0)]).hash
+    )
+
+
+def test_no_file_elsewhere_is_opened(tmp_path: Path) -> None:
+    DemoFolder(tmp_path / "demos", INFO, {}).append([episode(0)], 1)
+    DemoFolder(tmp_path / "other", INFO, {}).append([episode(0)], 1)
+    manifest = read_sealed(tmp_path / "demos" / "manifest.json")
+    manifest["shards"][0]["file"] = "../other/shard-00000.safetensors"
+    write_sealed(tmp_path / "demos" / "manifest.json", manifest)
+    stored = StoredDemos(tmp_path / "demos")
+    for read in (lambda: list(stored.shards()), lambda: stored.hash, lambda: stored.states_at(np.array([0]))):
+        with pytest.raises(PlanspaceError, match="is no name of a shard"):
+            read()
