@@ -1,0 +1,109 @@
+"""A file system that is really full, or cannot be written: one line, nothing lost, the same end after it."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planspace.cli import main
+from planspace.demos.folder import load_demos
+from planspace.embed.embedding import load_embedding
+from planspace.rl.history import load_history
+
+DISK_BYTES, PAGE = 4 * 2**20, 4096
+BALLAST = "ballast"
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no file system may be mounted here")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def leave_free(disk: Path, num_bytes: int) -> None:
+    """Fills a file system up to so many bytes, in whole pages."""
+    (disk / BALLAST).unlink(missing_ok=True)
+    stat = os.statvfs(disk)
+    ballast = max(stat.f_bavail * stat.f_frsize - num_bytes, 0) // PAGE * PAGE
+    with open(disk / BALLAST, "wb") as file:
+        os.posix_fallocate(file.fileno(), 0, ballast)
+
+
+def used_bytes(folder: Path) -> int:
+    return sum(-(-path.stat().st_size // PAGE) * PAGE for path in folder.rglob("*") if path.is_file())
+
+
+@dataclass(frozen=True)
+class Command:
+    words: Callable[[Path], list[str]]
+    """For the folder of a dataset."""
+    content: Callable[[Path], Any]
+
+
+PLAN = "plan cartpole-swingup --num 12 --restarts 1 --settings polish_max_iterations=2"
+EMBED = "--steps 300 --batch 64 --seeds 2"
+TRAIN = "train cartpole --steps 8000 --seeds 2"
+COMMANDS = {
+    "plan": Command(lambda demos: PLAN.split(), lambda out: load_demos(out).hash),
+    "import": Command(
+        lambda demos: ["demos", "import", str(demos.parent / "demos.csv")], lambda out: load_demos(out).hash
+    ),
+    "embed": Command(
+        lambda demos: ["embed", str(demos), *EMBED.split()], lambda out: load_embedding(out).hash
+    ),
+    "train": Command(
+        lambda demos: TRAIN.split(),
+        lambda out: {name: array.tobytes() for name, array in load_history(out).items()},
+    ),
+}
+SHARES = (0.0, 0.5, 0.9)
+"""Of what a command writes, so much fits."""
+
+
+@pytest.fixture
+def given(demo_folder: Path, tmp_path: Path) -> Path:
+    """A dataset, and the same as CSV beside it."""
+    demos = shutil.copytree(demo_folder, tmp_path / "demos")
+    assert main(["demos", "export", str(demos), str(tmp_path / "demos.csv")]) == 0
+    return demos
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_on_a_full_disk_nothing_is_lost(
+    name: str, disk: Path, given: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, alone, out = COMMANDS[name], tmp_path / "alone", disk / "out"
+    assert main([*command.words(given), "--out", str(alone)]) == 0
+    for share in SHARES:
+        leave_free(disk, int(share * used_bytes(alone)))
+        capsys.readouterr()
+        assert main([*command.words(given), "--out", str(out)]) == 1
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if "No space left" in line]
+        assert line.startswith("planspace: cannot write ") and "run the same command again" in line
+        (disk / BALLAST).unlink()
+        assert main([*command.words(given), "--out", str(out)]) == 0
+        assert command.content(out) == command.content(alone)
+        assert not [path.name for path in disk.rglob(".writing-*") if not path.name.endswith("lock")]
+        shutil.rmtree(out)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_disk_that_cannot_be_written_is_named_and_left_as_it_is(
+    name: str, disk: Path, given: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    capsys.readouterr()
+    assert main([*COMMANDS[name].words(given), "--out", str(disk / "out")]) == 1
+    assert "Read-only file system" in capsys.readouterr().err.splitlines()[-1]
+    assert list(disk.iterdir()) == []
