@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from planspace.checkpoint import load_checkpoint, save_checkpoint
+from planspace.demos.convert import import_npz
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import DemoFolder, load_demos
+from planspace.demos.npz_files import export_npz
 from planspace.embed.curves import read_log
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
@@ -63,6 +65,17 @@ def first_shard(demos: Demos) -> Artefact:
         return load_demos(path).hash if (path / "manifest.json").exists() else None
 
     return Artefact(lambda root: None, change, read)
+
+
+def import_of(demos: Demos, source: Path) -> Artefact:
+    export_npz(demos, source)
+
+    def read(root: Path) -> str | None:
+        path = root / "imported"
+        found = load_demos(path) if (path / "manifest.json").exists() else None
+        return None if found is None or len(found) < len(demos) else found.hash
+
+    return Artefact(lambda root: None, lambda root: import_npz(source, root / "imported", None), read)
 
 
 def embedding_of(embedding: Embedding) -> Artefact:
@@ -129,10 +142,13 @@ def study_unit() -> Artefact:
 
 
 @pytest.fixture
-def artefacts(demos: Demos, embedding: Embedding) -> dict[str, Artefact]:
+def artefacts(
+    demos: Demos, embedding: Embedding, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Artefact]:
     return {
         "demo shard": demo_shard(demos),
         "first demo shard": first_shard(demos),
+        "import": import_of(demos, tmp_path_factory.mktemp("source") / "demos.npz"),
         "embedding": embedding_of(embedding),
         "checkpoint": checkpoint(),
         "policies": policies(),
@@ -140,7 +156,7 @@ def artefacts(demos: Demos, embedding: Embedding) -> dict[str, Artefact]:
     }
 
 
-NAMES = ("demo shard", "first demo shard", "embedding", "checkpoint", "policies", "study unit")
+NAMES = ("demo shard", "first demo shard", "import", "embedding", "checkpoint", "policies", "study unit")
 injected: list[tuple[str, Fault, int]] = []
 
 
