@@ -78,6 +78,7 @@ def test_a_stored_dataset_is_read_a_shard_at_a_time(tmp_path: Path) -> None:
     assert [len(part) for part in stored.shards()] == [2, 1] and len(stored) == 3
     assert stored.hash == whole.hash
     np.testing.assert_array_equal(stored.offsets, whole.offsets)
+    np.testing.assert_equal(stored.split(0), whole.split(0))
     for i, e in enumerate(stored.episodes()):
         np.testing.assert_array_equal(e.states, whole.episode(i).states)
         assert e.index == i

@@ -196,20 +196,27 @@ class Demos:
         return content_hash(self.info, lambda name: [getattr(self, name)])
 
     def split(self, seed: int) -> dict[str, np.ndarray]:
-        """Splits the demonstrations 80/10/10 into `train`, `validation` and `test`, by whole episodes.
+        """Whole demonstrations, 80/10/10, as `train`, `validation`, `test`; raises if there are not 3."""
+        return split(len(self), seed)
 
-        Raises:
-            PlanspaceError: there are too few for three splits.
-        """
-        count = len(self)
-        if count < 3:
-            raise PlanspaceError(f"{count} demonstrations cannot be split in three; at least 3 are needed.")
-        held_out = max(1, round(SPLIT_SHARES["validation"] * count))
-        order = np.random.default_rng(np.random.SeedSequence([seed, count])).permutation(count)
-        parts = np.split(order, [count - 2 * held_out, count - held_out])
-        return {
-            name: np.sort(part) for name, part in zip(("train", "validation", "test"), parts, strict=True)
-        }
+
+def split(count: int, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
+    """Splits demonstrations 80/10/10 into `train`, `validation` and `test`, by whole episodes.
+
+    Args:
+        count: how many there are.
+        seed: of the split.
+
+    Raises:
+        PlanspaceError: there are too few for three splits.
+    """
+    if count < 3:
+        raise PlanspaceError(f"{count} demonstrations cannot be split in three; at least 3 are needed.")
+    held_out = max(1, round(SPLIT_SHARES["validation"] * count))
+    order = np.random.default_rng(np.random.SeedSequence([seed, count])).permutation(count)
+    parts = np.split(order, [count - 2 * held_out, count - held_out])
+    names = ("train", "validation", "test")
+    return {name: np.sort(part) for name, part in zip(names, parts, strict=True)}
 
 
 def content_hash(info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]]) -> str:

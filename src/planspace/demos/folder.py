@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from planspace.demos.dataset import Demos, Episode, StateInfo, content_hash
+from planspace.demos.dataset import Demos, Episode, StateInfo, content_hash, split
 from planspace.errors import PlanspaceError
 from planspace.store import (
     differences,
@@ -108,6 +108,10 @@ class StoredDemos:
     def hash(self) -> str:
         """SHA-256 of the content, the same as of `load()`; of shards that `shards()` has verified."""
         return content_hash(self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name))
+
+    def split(self, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
+        """Whole demonstrations, 80/10/10, as `train`, `validation`, `test`; raises if there are not 3."""
+        return split(len(self), seed)
 
     def states_at(self, rows: Int[np.ndarray, "*any"]) -> Float[np.ndarray, "*any state"]:
         """The states of some rows, such as `random_triplets` draws; as `load().states[rows]`.
