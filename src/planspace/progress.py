@@ -1,13 +1,15 @@
 """Progress with the time left: a bar on a terminal, one line a minute in a log."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from tqdm import tqdm
 
 LOG_INTERVAL_S = 60.0
+PATIENCE_S = 2.0
+Item = TypeVar("Item")
 
 
 class Progress(Protocol):
@@ -48,3 +50,18 @@ def progress(description: str, total: int, *, done: int = 0, unit: str = "it") -
         bar_format=None if on_terminal else "{desc}: {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]\n",
     ) as bar:
         yield bar
+
+
+def shown(items: Iterable[Item], description: str, *, unit: str, total: int | None = None) -> Iterator[Item]:
+    """Items as they come, counted on a terminal once that takes longer than two seconds.
+
+    Args:
+        items: what is gone through.
+        description: what is done with them.
+        unit: what is counted.
+        total: how many there are, where that is known.
+    """
+    quiet = not sys.stderr.isatty()
+    yield from tqdm(
+        items, desc=description, unit=unit, total=total, delay=PATIENCE_S, disable=quiet, leave=False
+    )

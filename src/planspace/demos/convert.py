@@ -24,6 +24,7 @@ from planspace.demos.npz_files import export_npz, read_npz
 from planspace.demos.recording import Imported, ImportOptions, refuse
 from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
 from planspace.errors import PlanspaceError, UsageError
+from planspace.progress import shown
 from planspace.store import TEMPORARY_PREFIX, file_hash, json_hash, locked, make_folder, write_bytes
 
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
@@ -135,7 +136,8 @@ def _store(imported: Imported, out: Path, origin: dict[str, str], options: Impor
         demos = _in_order(imported, origin["imported"], options, stage)
         about = {**origin, "problem": demos.info.problem, "content": demos.hash}
         folder = DemoFolder(out, demos.info, about)
-        _append_all(folder, itertools.islice(demos.episodes(), folder.next_index, None))
+        missing = itertools.islice(demos.episodes(), folder.next_index, None)
+        _append_all(folder, shown(missing, "store", unit="demo", total=len(demos) - folder.next_index))
     return folder
 
 
@@ -156,12 +158,14 @@ def _stage_for(out: Path) -> Iterator[Path]:
 def _in_order(imported: Imported, source: str, options: ImportOptions, stage: Path) -> StoredDemos:
     """Lays everything down checked, angles and steps in order; says on standard error what was assumed."""
     info, notices = imported.info, list(imported.notices)
-    demos = _lay_down(stage / "recorded", source, info, _checked(imported, source, options))
+    checked = shown(_checked(imported, source, options), "read", unit="demo")
+    demos = _lay_down(stage / "recorded", source, info, checked)
     step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), info)
     if step is not None:
         count = sum(not has_step(episode, step) for episode in demos.episodes())
         notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
         resampled = (resample(episode, info, step) for episode in demos.episodes())
+        resampled = shown(resampled, "resample", unit="demo", total=len(demos))
         demos = _lay_down(stage / "even", source, info, resampled)
     for notice in notices:
         print(notice, file=sys.stderr)

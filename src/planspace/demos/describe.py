@@ -11,6 +11,7 @@ from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.apart import compile_apart
 from planspace.physics.simulate import replay
+from planspace.progress import shown
 
 REPLAY_TOLERANCE = 1e-6
 """Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
@@ -54,7 +55,7 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
     if replay_controls and untrusted:
         compile_apart(demos.info.mjcf)
     worst = 0.0
-    for first, part in _parts(demos):
+    for first, part in shown(_parts(demos), "validate", unit="shard"):
         _check_times(part, first, folder)
         if replay_controls:
             worst = max(worst, _check_replay(part, first, folder))
