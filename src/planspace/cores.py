@@ -2,10 +2,10 @@
 
 import multiprocessing
 import os
-import platform
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 
 def available_cores() -> list[int]:
@@ -23,13 +23,15 @@ def count_cores() -> int:
 ORPHANED = 130
 """Exit code of a process whose parent is gone."""
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1")
-_KERNELS = {"OPENBLAS_CORETYPE": "Haswell"} if platform.machine() in ("x86_64", "AMD64") else {}
+_CPU = Path("/proc/cpuinfo")
+_KERNELS = {"OPENBLAS_CORETYPE": "Haswell"} if _CPU.exists() and " avx2 " in _CPU.read_text() else {}
 WORKER_ENVIRONMENT: dict[str, str] = _ONE_THREAD | _KERNELS
 """Environment of a process that works beside others and is to compute what it would anywhere.
 
 Linear algebra takes one thread, NumPy's and XLA's (NPROC), whose results otherwise depend in their last bits
-on how many cores there are. OpenBLAS takes the kernels that every x86-64 CPU since 2013 can run; by default
-it takes those of the CPU at hand, which sum in another order, and a planner's next plan is then another.
+on how many cores there are. OpenBLAS takes the kernels that every x86-64 CPU with AVX2 can run (on Linux);
+by default it takes those of the CPU at hand, which sum in another order, and a planner's next plan is then
+another.
 """
 
 

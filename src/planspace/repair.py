@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace import checkpoint
-from planspace.demos import folder as dataset
+from planspace.demos import folder as demo_folder
 from planspace.embed import embedding
 from planspace.errors import PlanspaceError
 from planspace.rl import history, saved_policy
@@ -77,12 +77,12 @@ def _unreadable(folder: Path) -> Iterator[tuple[Path, str]]:
 
 
 def _damaged_dataset(folder: Path) -> Iterator[tuple[Path, str]]:
-    if not (folder / dataset.MANIFEST).exists():
+    if not (folder / demo_folder.MANIFEST).exists():
         return
     try:
-        damaged = dataset.keep_whole_shards(folder)
+        damaged = demo_folder.keep_whole_shards(folder)
     except PlanspaceError as error:
-        yield folder / dataset.MANIFEST, str(error)
+        yield folder / demo_folder.MANIFEST, str(error)
         return
     yield from damaged
 

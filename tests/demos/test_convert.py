@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import export_demos, import_demos, import_npz
-from planspace.demos.dataset import Demos
+from planspace.demos.csv_files import read_csv
+from planspace.demos.dataset import Demos, StateInfo
 from planspace.demos.describe import describe, validate
-from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
+from planspace.demos.folder import DemoFolder, StoredDemos, keep_whole_shards, load_demos
 from planspace.demos.npz_files import export_npz
-from planspace.demos.recording import ImportOptions, assignments
+from planspace.demos.recording import Imported, ImportOptions, assignments, recorded
 from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError, UsageError
 
@@ -134,6 +135,14 @@ def test_the_same_import_again_changes_nothing_and_another_is_refused(tmp_path: 
     assert describe(out)["made_by"] == {"imported": "a.csv"}
 
 
+HEADERS = ("{[]:1}", "{1:2,'a':3}", "{'descr':(),'fortran_order':False,'shape':(60,)}", "x:\n  y\n z:\n")
+
+
+def header(text: str) -> bytes:
+    """Of an array in NumPy's format, 128 bytes long."""
+    return b"\x93NUMPY\x01\x00" + (118).to_bytes(2, "little") + text.ljust(117).encode() + b"\n"
+
+
 def archive(num: int, length: int = 20) -> dict[str, np.ndarray]:
     """`num` demonstrations of `length` states."""
     rows = num * length
@@ -171,7 +180,14 @@ def test_an_archive_of_which_a_bit_is_turned_leaves_nothing(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [(lambda data: data[:-8], "shorter than it says"), (lambda data: data + bytes(8), "longer than it says")],
+    [
+        (lambda data: data[:-8], "shorter than it says"),
+        (lambda data: data + bytes(8), "longer than it says"),
+        *(
+            (lambda data, text=text: header(text) + data[128:], "no.*readable NPZ archive")
+            for text in HEADERS
+        ),
+    ],
 )
 def test_an_array_that_is_not_as_long_as_it_says_is_refused(
     change: Callable[[bytes], bytes], message: str, tmp_path: Path
@@ -206,12 +222,64 @@ def test_a_bad_demonstration_far_into_a_source_leaves_nothing(
 def test_what_a_kill_left_of_an_import_is_cleared_away(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", **archive(3))
     import_npz(tmp_path / "a.npz", tmp_path / "alone", None)
-    left = tmp_path / ".writing-import-out" / "recorded"
+    left = tmp_path / "out" / ".writing-import" / "recorded"
     left.mkdir(parents=True)
     (left / "manifest.json").write_text("half of a")
     import_npz(tmp_path / "a.npz", tmp_path / "out", None)
     assert load_demos(tmp_path / "out").hash == load_demos(tmp_path / "alone").hash
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "alone", "out"]
+    names = [sorted(path.name for path in (tmp_path / name).iterdir()) for name in ("out", "alone")]
+    assert names[0] == names[1] == ["manifest.json", "shard-00000.safetensors"]
+
+
+@pytest.mark.parametrize("link", [".writing-import", ".writing-import/recorded"])
+def test_nothing_is_removed_through_a_link(link: str, tmp_path: Path) -> None:
+    kept = tmp_path / "theirs" / "recorded" / "thesis.txt"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("years of work")
+    place = tmp_path / "out" / link
+    place.parent.mkdir(parents=True)
+    place.symlink_to(tmp_path / "theirs")
+    np.savez(tmp_path / "a.npz", **archive(3))
+    import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    assert len(load_demos(tmp_path / "out")) == 3
+    assert kept.read_text() == "years of work"
+    assert [path.name for path in (tmp_path / "theirs").iterdir()] == ["recorded"]
+
+
+def test_an_import_of_which_a_shard_was_damaged_is_made_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("planspace.demos.convert.SHARD_EPISODES", 2)
+    numbers = [0, 3, 5, 6, 9, 12]  # as of a dataset of which some plans had failed
+    info, step = StateInfo(("x",), ("",), (), 1), np.arange(4.0)
+    course = step[:, None], np.ones((3, 1)), step
+    episodes = [recorded(*course, index=number) for number in numbers]
+    monkeypatch.setattr("planspace.demos.convert.read_npz", lambda file, known: Imported(info, episodes))
+    (tmp_path / "a.npz").touch()
+    out = tmp_path / "out"
+    import_npz(tmp_path / "a.npz", out, None)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    (out / "shard-00001.safetensors").write_bytes(b"")
+    assert keep_whole_shards(out)
+    import_npz(tmp_path / "a.npz", out, None)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_source_that_changes_while_it_is_read_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text(CSV)
+    imported = read_csv([file], None, ImportOptions())
+    file.write_text("")
+    with pytest.raises(PlanspaceError, match="was changed while it was read"):
+        list(imported.episodes)
+
+
+def test_times_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
+    rows = [f"{t},0" for t in ("0", "1e-6", "2e-6", "3e-6", "1e9")]
+    (tmp_path / "a.csv").write_text("\n".join(["time,x", *rows]))
+    with pytest.raises(PlanspaceError, match=r"demonstration 0 lasts 1e\+09 s, 1e\+15 steps of the 1e-06 s"):
+        import_demos([str(tmp_path / "a.csv")], tmp_path / "out", None, ImportOptions())
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_import_that_was_half_done_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.describe import describe
 from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
 from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError
@@ -107,3 +108,35 @@ def test_no_file_elsewhere_is_opened(tmp_path: Path) -> None:
     for read in (lambda: list(stored.shards()), lambda: stored.hash, lambda: stored.states_at(np.array([0]))):
         with pytest.raises(PlanspaceError, match="is no name of a shard"):
             read()
+
+
+@pytest.mark.parametrize(
+    "change", [{"episodes": -5}, {"episodes": 10**15}, {"states": 1e3}, {"states": 2**60}]
+)
+def test_a_manifest_that_makes_no_sense_is_refused_before_anything_is_made_of_it(
+    change: dict, tmp_path: Path
+) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    manifest = read_sealed(tmp_path / "manifest.json")
+    manifest["shards"][0] |= change
+    write_sealed(tmp_path / "manifest.json", manifest)
+    with pytest.raises(PlanspaceError, match=r"manifest\.json was altered or damaged: it makes no sense"):
+        describe(tmp_path)
+
+
+def test_rows_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    stored = StoredDemos(str(tmp_path))
+    for row in (-1, 5):
+        with pytest.raises(PlanspaceError, match=rf"rows {row} to {row} are asked for; .* has 0 to 4"):
+            stored.states_at(np.array([row]))
+
+
+def test_the_hash_of_a_damaged_dataset_is_not_given(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    shard = tmp_path / "shard-00000.safetensors"
+    data = bytearray(shard.read_bytes())
+    data[-1] ^= 1
+    shard.write_bytes(data)
+    with pytest.raises(PlanspaceError, match="was altered or damaged"):
+        _ = StoredDemos(tmp_path).hash

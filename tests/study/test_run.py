@@ -1,5 +1,4 @@
 import json
-import platform
 import random
 import shutil
 import signal
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planspace.cores import WORKER_ENVIRONMENT
 from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
@@ -85,7 +85,7 @@ def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path
     assert read_result(policy(0), tmp_path / "out")["found"] == expected
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="other CPUs have other kernels")
+@pytest.mark.skipif("OPENBLAS_CORETYPE" not in WORKER_ENVIRONMENT, reason="a CPU of other kernels")
 def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

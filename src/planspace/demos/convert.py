@@ -1,7 +1,7 @@
 """Demonstrations from and to other formats; the kind of a file is told by its name.
 
-A source is read a demonstration at a time and laid down beside the dataset to be, and only what is in order
-throughout is copied there: a dataset may be larger than memory, and a bad source leaves nothing behind.
+A source is read a demonstration at a time and laid down in a folder of its own, and only what is in order
+throughout is copied to the dataset: it may be larger than memory, and a bad source leaves nothing behind.
 """
 
 import itertools
@@ -10,7 +10,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ from planspace.store import TEMPORARY_PREFIX, file_hash, json_hash, locked, make
 
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """An imported shard ends with so many demonstrations, or the one that brings it to so many states."""
+STAGE, RECORDED, EVEN = f"{TEMPORARY_PREFIX}import", "recorded", "even"
+"""Where demonstrations are laid down in the folder to be: as recorded, and brought to one time step."""
 SUFFIXES = (".npz", ".csv", ".json", ".out")
 IMPORT_KINDS = "FILE.npz, FILE.csv, minari:ID, or a folder of .csv, .json or .out files"
 EXPORT_KINDS = "FILE.npz, FILE.csv or minari:ID"
@@ -126,47 +128,70 @@ def minari_demos(source: str) -> Demos:
     """
     options = ImportOptions()
     imported = read_minari(source.removeprefix(MINARI_PREFIX), None, options)
-    with tempfile.TemporaryDirectory(prefix="planspace-") as stage:
-        return _in_order(imported, source, options, Path(stage)).load()
+    try:
+        stage = tempfile.TemporaryDirectory(prefix="planspace-")
+    except OSError as error:
+        raise PlanspaceError(
+            f"reading {source} takes a folder for temporary files: {error.strerror}; set TMPDIR to one."
+        ) from error
+    with stage:
+        return _in_order(imported, source, options, Path(stage.name)).load()
 
 
 def _store(imported: Imported, out: Path, origin: dict[str, str], options: ImportOptions) -> DemoFolder:
     """Makes the dataset, once everything is in order."""
-    with _stage_for(out) as stage:
+    with _stage_in(out) as stage:
         demos = _in_order(imported, origin["imported"], options, stage)
         about = {**origin, "problem": demos.info.problem, "content": demos.hash}
         folder = DemoFolder(out, demos.info, about)
-        missing = itertools.islice(demos.episodes(), folder.next_index, None)
-        _append_all(folder, shown(missing, "store", unit="demo", total=len(demos) - folder.next_index))
+        missing = itertools.islice(demos.episodes(), folder.num_episodes, None)
+        _append_all(folder, shown(missing, "store", unit="demo", total=len(demos) - folder.num_episodes))
     return folder
 
 
 @contextmanager
-def _stage_for(out: Path) -> Iterator[Path]:
-    """A folder for what is not finished, gone afterwards: in `out` where that exists, else above it."""
-    home = next(folder for folder in (out, *out.absolute().parents) if folder.is_dir())
-    stage = make_folder(home / f"{TEMPORARY_PREFIX}import-{out.name}")
-    with locked(stage):
-        try:
-            for left_behind in stage.glob("*/"):  # by a kill
-                shutil.rmtree(left_behind)
-            yield stage
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
+def _stage_in(out: Path) -> Iterator[Path]:
+    """A folder in `out` for what is not finished, gone afterwards, as is `out` if nothing came of it."""
+    made = [folder for folder in (out, *out.parents) if not folder.exists()]
+    stage = make_folder(out) / STAGE
+    try:
+        if stage.is_symlink():  # not ours: what it leads to is left alone
+            stage.unlink()
+        with locked(make_folder(stage)):
+            for name in (RECORDED, EVEN):  # what a kill left behind
+                _remove(stage / name)
+            try:
+                yield stage
+            finally:
+                shutil.rmtree(stage, ignore_errors=True)
+    finally:
+        with suppress(OSError):  # it is not empty
+            for folder in made:
+                folder.rmdir()
+
+
+def _remove(folder: Path) -> None:
+    if folder.is_symlink():
+        folder.unlink()
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _in_order(imported: Imported, source: str, options: ImportOptions, stage: Path) -> StoredDemos:
     """Lays everything down checked, angles and steps in order; says on standard error what was assumed."""
     info, notices = imported.info, list(imported.notices)
+    if not info.names:
+        raise PlanspaceError(f"{source}: its states have no numbers.")
     checked = shown(_checked(imported, source, options), "read", unit="demo")
-    demos = _lay_down(stage / "recorded", source, info, checked)
+    demos = _lay_down(stage / RECORDED, source, info, checked)
     step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), info)
     if step is not None:
         count = sum(not has_step(episode, step) for episode in demos.episodes())
         notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
         resampled = (resample(episode, info, step) for episode in demos.episodes())
         resampled = shown(resampled, "resample", unit="demo", total=len(demos))
-        demos = _lay_down(stage / "even", source, info, resampled)
+        demos = _lay_down(stage / EVEN, source, info, resampled)
+        _remove(stage / RECORDED)
     for notice in notices:
         print(notice, file=sys.stderr)
     return demos
@@ -196,10 +221,10 @@ def _append_all(folder: DemoFolder, episodes: Iterable[Episode]) -> None:
     for episode in episodes:
         shard.append(episode)
         if len(shard) == SHARD_EPISODES or sum(len(e.states) for e in shard) >= SHARD_STATES:
-            folder.append(shard, folder.next_index + len(shard))
+            folder.append(shard, folder.num_episodes + len(shard))
             shard = []
     if shard:
-        folder.append(shard, folder.next_index + len(shard))
+        folder.append(shard, folder.num_episodes + len(shard))
 
 
 def _steps(demos: Demos) -> np.ndarray:

@@ -106,7 +106,7 @@ class _Table:
 
     def _rows(self) -> Iterator[Row]:
         rows = _rows(self.file)
-        next(rows)  # the header
+        next(rows, None)  # the header
         for line, cells in rows:
             if len(cells) != len(self.header):
                 raise PlanspaceError(
@@ -134,13 +134,15 @@ def _rows(file: Path) -> Iterator[Row]:
     except OSError as error:
         raise PlanspaceError(f"cannot read {file}: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise PlanspaceError(f"{file} is not UTF-8 text ({error}).") from error
+        raise PlanspaceError(f"{file} is not UTF-8 text ({error.reason}).") from error
     except csv.Error as error:
         raise PlanspaceError(f"{file} is not a CSV file ({error}).") from error
 
 
 def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int) -> Episode:
     columns = table.columns
+    if not rows:
+        raise PlanspaceError(f"{table.file} was changed while it was read.")
     if len(rows) < 2:
         raise PlanspaceError(
             f"{table.file}, line {rows[0][0]} is a demonstration of one state; two are needed."

@@ -20,14 +20,16 @@ REPLAY_TOLERANCE = 1e-6
 def describe(folder: Path) -> dict[str, Any]:
     """Counts, sizes and durations of a dataset."""
     demos = _opened(folder)
-    info, lengths, reached = demos.info, np.diff(demos.offsets), 0
-    durations = np.empty(len(demos))
-    for first, part in _parts(demos):
-        durations[first : first + len(part)] = part.times[part.offsets[1:] - 1]
+    info, reached = demos.info, 0
+    numbers, times = [], []
+    for _, part in _parts(demos):
+        numbers.append(np.diff(part.offsets))
+        times.append(part.times[part.offsets[1:] - 1])
         reached += int(part.success.sum())
+    lengths, durations = np.concatenate(numbers), np.concatenate(times)
     return {
         "demonstrations": len(demos),
-        "states": int(demos.offsets[-1]),
+        "states": int(lengths.sum()),
         "reached_goal": reached,
         "state": dict(zip(info.names, info.units, strict=True)),
         "circular": [info.names[c] for c in info.circular_columns],

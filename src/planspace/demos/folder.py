@@ -32,6 +32,8 @@ from planspace.store import (
 SCHEMA = 1
 MANIFEST = "manifest.json"
 MINARI_PREFIX = "minari:"
+MOST = 2**48
+"""No shard has so many states."""
 ARRAYS = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
 """What a shard holds."""
 
@@ -55,7 +57,7 @@ def load_demos(path: str | Path) -> Demos:
 class StoredDemos:
     """A dataset on disk, of which one shard at a time is in memory."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: str | Path):
         """Opens a dataset.
 
         Args:
@@ -64,15 +66,16 @@ class StoredDemos:
         Raises:
             PlanspaceError: it is none, holds no demonstrations, is damaged, or of a newer schema.
         """
-        manifest, self.info = _described(path)
-        self.path, self.settings = path, manifest["settings"]
+        self.path, self._verified = Path(path), False
+        manifest, self.info = _described(self.path)
+        self.settings: dict[str, Any] = manifest["settings"]
         self._shards: list[dict[str, Any]] = manifest["shards"]
         if not self._shards:
             raise PlanspaceError(f"{path} holds no demonstrations.")
 
     def __len__(self) -> int:
         """How many demonstrations."""
-        return sum(int(shard["episodes"]) for shard in self._shards)
+        return sum(shard["episodes"] for shard in self._shards)
 
     def shards(self) -> Iterator[Demos]:
         """The demonstrations of each shard in turn, verified.
@@ -82,6 +85,7 @@ class StoredDemos:
         """
         for shard in self._shards:
             yield Demos(info=self.info, **self._read(shard))
+        self._verified = True
 
     def episodes(self) -> Iterator[Episode]:
         """The demonstrations in turn; raises as `shards()`."""
@@ -102,11 +106,14 @@ class StoredDemos:
     @cached_property
     def offsets(self) -> Int[np.ndarray, " bound"]:
         """Where each demonstration begins among all states; the last number is where they end."""
-        return _end_to_end(list(self._each("offsets")))
+        return _end_to_end([part.offsets for part in self.shards()])
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the content, the same as of `load()`; of shards that `shards()` has verified."""
+        """SHA-256 of the content, the same as of `load()`; raises as `shards()`."""
+        if not self._verified:
+            for _ in self.shards():
+                pass
         return content_hash(self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name))
 
     def split(self, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
@@ -116,19 +123,26 @@ class StoredDemos:
     def states_at(self, rows: Int[np.ndarray, "*any"]) -> Float[np.ndarray, "*any state"]:
         """The states of some rows, such as `random_triplets` draws; as `load().states[rows]`.
 
+        Every shard that one of them lies in is read: draw many at a time.
+
         Args:
-            rows: numbers of states, those of all shards laid end to end.
+            rows: numbers of states, from 0, those of all shards laid end to end.
 
         Raises:
-            PlanspaceError: a shard is missing or altered (it is named).
+            PlanspaceError: there is no such row, or a shard is missing or altered (it is named).
         """
+        num_states = sum(shard["states"] for shard in self._shards)
+        if rows.size and not (rows.min() >= 0 and rows.max() < num_states):
+            raise PlanspaceError(
+                f"rows {rows.min()} to {rows.max()} are asked for; {self.path} has 0 to {num_states - 1}."
+            )
         states = np.empty((*rows.shape, len(self.info.names)))
         first = 0
         for shard in self._shards:
-            part = self._read(shard)["states"]
-            here = (rows >= first) & (rows < first + len(part))
-            states[here] = part[rows[here] - first]
-            first += len(part)
+            here = (rows >= first) & (rows < first + shard["states"])
+            if here.any():
+                states[here] = self._read(shard)["states"][rows[here] - first]
+            first += shard["states"]
         return states
 
     def _read(self, shard: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -235,8 +249,13 @@ def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
         known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
         info = StateInfo(**known)
         _check_info(info)
-        _ = manifest["settings"], int(manifest["next_index"])
-        _ = [(shard["file"], shard["sha256"], int(shard["episodes"])) for shard in manifest["shards"]]
+        if not isinstance(manifest["settings"], dict) or type(manifest["next_index"]) is not int:
+            raise TypeError("its settings or next_index are of the wrong kind")
+        for shard in manifest["shards"]:
+            _ = shard["file"], shard["sha256"]
+            episodes, states = shard["episodes"], shard["states"]
+            if type(episodes) is not int or type(states) is not int or not 0 < episodes <= states < MOST:
+                raise ValueError(f"a shard of {episodes} demonstrations and {states} states")
     return manifest, info
 
 

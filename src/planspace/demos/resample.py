@@ -10,11 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.demos.dataset import Episode, StateInfo
+from planspace.errors import PlanspaceError
 from planspace.physics.angles import TWO_PI, unwrap_to_end
 from planspace.physics.quaternion import normalise
 
 UNEVEN = 1e-3
 """Steps that differ by less than this share of themselves are even: float32 clocks differ by 2e-5."""
+MOST_STATES, MOST_TIMES = 1_000_000, 1000
+"""A demonstration that would get more states than this, and so many times what it has, has wrong times."""
 SAME_INSTANT = 1e-6
 """Two times closer than this share of a step are one."""
 
@@ -88,7 +91,13 @@ def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
 
 
 def _num_steps(episode: Episode, step: float) -> int:
-    return int(np.floor(float(episode.times[-1]) / step + SAME_INSTANT))
+    number = float(episode.times[-1]) / step
+    if not number <= max(MOST_STATES, MOST_TIMES * len(episode.times)):
+        raise PlanspaceError(
+            f"demonstration {episode.index} lasts {float(episode.times[-1]):.6g} s, {number:.3g} steps of "
+            f"the {step:.6g} s that all are to have; correct its times, or keep them by --as-recorded."
+        )
+    return int(np.floor(number + SAME_INSTANT))
 
 
 def _even(steps: np.ndarray, step: float) -> bool:
