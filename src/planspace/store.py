@@ -88,10 +88,8 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         PlanspaceError: it is missing or unreadable.
     """
-    try:
+    with explain_read(path):
         return path.read_bytes()
-    except OSError as error:
-        raise PlanspaceError(f"cannot read {path}: {error.strerror}.") from error
 
 
 def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
@@ -181,10 +179,8 @@ def read_array(path: Path, name: str) -> np.ndarray:
         PlanspaceError: the file is missing or unreadable, or has no such array.
     """
     try:
-        with safetensors.safe_open(path, framework="numpy") as file:
+        with explain_read(path), safetensors.safe_open(path, framework="numpy") as file:
             return file.get_tensor(name)
-    except OSError as error:
-        raise PlanspaceError(f"cannot read {path}: {error.strerror or error}.") from error
     except safetensors.SafetensorError as error:
         raise damaged(path, f"no readable safetensors file ({error})") from error
 
@@ -394,11 +390,8 @@ def file_hash(path: Path) -> str:
     Raises:
         PlanspaceError: it is missing or unreadable.
     """
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise PlanspaceError(f"cannot read {path}: {error.strerror}.") from error
+    with explain_read(path), open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
@@ -409,6 +402,19 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = ""
             yield from differences(before, now, f"{prefix}{key}.")
         elif before != now:
             yield f"{prefix}{key} was {before!r}, now {now!r}"
+
+
+@contextlib.contextmanager
+def explain_read(path: Path) -> Iterator[None]:
+    """Turns what the operating system says of a file that cannot be read into our error.
+
+    Raises:
+        PlanspaceError: it cannot be read.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise PlanspaceError(f"cannot read {path}: {error.strerror or error}.") from error
 
 
 @contextlib.contextmanager

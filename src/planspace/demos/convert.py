@@ -218,11 +218,13 @@ def _lay_down(path: Path, source: str, info: StateInfo, episodes: Iterable[Episo
 
 def _append_all(folder: DemoFolder, episodes: Iterable[Episode]) -> None:
     shard: list[Episode] = []
+    num_states = 0
     for episode in episodes:
         shard.append(episode)
-        if len(shard) == SHARD_EPISODES or sum(len(e.states) for e in shard) >= SHARD_STATES:
+        num_states += len(episode.states)
+        if len(shard) == SHARD_EPISODES or num_states >= SHARD_STATES:
             folder.append(shard, folder.num_episodes + len(shard))
-            shard = []
+            shard, num_states = [], 0
     if shard:
         folder.append(shard, folder.num_episodes + len(shard))
 

@@ -19,6 +19,7 @@ from planspace.demos.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Colum
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
 from planspace.errors import PlanspaceError
+from planspace.store import explain_read
 
 Row = tuple[int, list[str]]
 """A row's cells as text, and the line it ends on."""
@@ -126,13 +127,11 @@ def _open_table(file: Path, info: StateInfo | None, options: ImportOptions) -> _
 def _rows(file: Path) -> Iterator[Row]:
     """All rows that are not empty."""
     try:
-        with open(file, encoding="utf-8-sig", newline="") as text:
+        with explain_read(file), open(file, encoding="utf-8-sig", newline="") as text:
             reader = csv.reader(text, strict=True)
             for cells in reader:
                 if any(cell.strip() for cell in cells):
                     yield reader.line_num, cells
-    except OSError as error:
-        raise PlanspaceError(f"cannot read {file}: {error.strerror}.") from error
     except UnicodeDecodeError as error:
         raise PlanspaceError(f"{file} is not UTF-8 text ({error.reason}).") from error
     except csv.Error as error:

@@ -106,14 +106,13 @@ class StoredDemos:
     @cached_property
     def offsets(self) -> Int[np.ndarray, " bound"]:
         """Where each demonstration begins among all states; the last number is where they end."""
-        return _end_to_end([part.offsets for part in self.shards()])
+        self._verify()
+        return _end_to_end(list(self._each("offsets")))
 
     @property
     def hash(self) -> str:
         """SHA-256 of the content, the same as of `load()`; raises as `shards()`."""
-        if not self._verified:
-            for _ in self.shards():
-                pass
+        self._verify()
         return content_hash(self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name))
 
     def split(self, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
@@ -148,6 +147,11 @@ class StoredDemos:
     def _read(self, shard: dict[str, Any]) -> dict[str, np.ndarray]:
         with refusing_nonsense(self.path / MANIFEST):
             return _read_shard(self.path, shard, self.info)
+
+    def _verify(self) -> None:
+        if not self._verified:
+            for _ in self.shards():
+                pass
 
     def _each(self, name: str) -> Iterator[np.ndarray]:
         with refusing_nonsense(self.path / MANIFEST):

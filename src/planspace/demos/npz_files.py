@@ -17,7 +17,7 @@ import numpy as np
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, anonymous_info, check_rising, recorded
 from planspace.errors import PlanspaceError
-from planspace.store import write_bytes
+from planspace.store import explain_read, write_bytes
 
 KEYS = ("states", "controls", "time", "offsets")
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -133,11 +133,10 @@ def _columns(file: Path, keys: Sequence[str]) -> Iterator[list[_Column]]:
 @contextmanager
 def _explained(file: Path) -> Iterator[None]:
     try:
-        yield
+        with explain_read(file):
+            yield
     except PlanspaceError:
         raise
-    except OSError as error:
-        raise PlanspaceError(f"cannot read {file}: {error.strerror or error}.") from error
     except Exception as error:  # what zipfile, its decompressors and NumPy raise on nonsense is no short list
         text = " ".join(str(error).split()) or type(error).__name__
         raise PlanspaceError(f"{file} is not a readable NPZ archive of plain arrays ({text}).") from error

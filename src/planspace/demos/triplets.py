@@ -55,7 +55,7 @@ def random_triplets(
     log-uniform from the nearest state alone to all.
 
     Args:
-        demos: the dataset; one that is stored is not read for it.
+        demos: the dataset; of one that is stored only the offsets are kept in memory.
         episodes: which demonstrations.
         num: how many triplets.
         rng: where the draws come from.
