@@ -605,11 +605,12 @@ class Study:
     budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
     """Steps a seed. smoke: minutes in all, to see that it works. half: 1 M. full: 2 M. paper: 8 M (2020)."""
     workers: Annotated[int, arg(metavar="N")] = 0
-    """Processes; 0 takes one for each core. The result does not depend on it."""
+    """Processes, at most one for each core, which 0 takes. The result does not depend on it."""
     seeds: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 15; 25 or 75 where nested)")] = 0
     """Policies an arm, in blocks of 5. A larger number adds to those that were run."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
-    """Only arms whose name (figure/arm) contains this, such as 'swingup, TRPO'; may be given again."""
+    """Only arms whose name (figure/arm) contains this, such as 'swingup, TRPO'; may be given again. The
+    report shows all that is there, with --report these arms alone."""
     ray: Annotated[str, arg(metavar="HOST:PORT", help_behavior_hint="(default: this machine)")] = ""
     """A Ray cluster to run the units on (extra `ray`); results come back here. --workers limits how many run
     at a time; 0 takes all of its cores."""
@@ -628,9 +629,10 @@ class Study:
         if self.workers < 0:
             raise UsageError("--workers must not be negative.")
         study = make_study(self.name, self.budget, seeds=self.seeds)
-        failed = {} if self.report else self._run(study.only(self.only))
+        asked = study.only(self.only)
+        failed = {} if self.report else self._run(asked)
         text = "".join(f" {line}." for line in failures(failed, study))
-        findings = read_findings(study, self.out)
+        findings = read_findings(asked if self.report else study, self.out)
         if findings.scores or not failed:
             summary, page = write_report(findings, self.out)
             print(f"{as_text(summary)}\n\nreport           {page}")

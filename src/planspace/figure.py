@@ -8,7 +8,7 @@ import matplotlib.figure
 
 from planspace.store import write_bytes
 
-COLOURS = ("#4477aa", "#ee7733", "#228833", "#aa3377", "#66ccee", "#bbbb33", "#775533", "#888888")
+COLOURS = ("#4477aa", "#228833", "#ee7733", "#aa3377", "#66ccee", "#bbbb33", "#775533", "#888888")
 """Told apart by colour-blind readers (after Paul Tol)."""
 
 

@@ -107,11 +107,12 @@ def test_every_figure_and_table_is_there_as_a_file(page: Path) -> None:
     assert panel[1]["solved"] == 1.0 and panel[2]["solved"] is None  # a sparse return has no level
     assert panel[1]["improvement"][0] == 1.0 and panel[1]["components"] is not None
     markdown = (page.parent / "tables.md").read_text()
-    assert "| 10 |" in markdown and "| unknown | final |  | not run yet |" in markdown
+    assert "| 10 |" in markdown and "1 more claims are about arms that were not run." in markdown
+    assert "400,000 steps a seed" in markdown
     assert EVIL not in markdown
     names = {file.name for file in (page.parent / "figures").iterdir()}
     panel_name = slug(ARMS[0].panel)
-    for name in (panel_name, f"{panel_name}-profile"):
+    for name in (panel_name, f"{panel_name}-profile", f"{panel_name}-reached", "demonstrations-in-z"):
         assert {f"{name}.png", f"{name}.svg"} <= names
     assert sum(name.startswith("training-") and name.endswith(".svg") for name in names) == 2
 

@@ -1,3 +1,4 @@
+import contextlib
 import json
 import random
 import shutil
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.cores import WORKER_ENVIRONMENT
+from planspace.cores import WORKER_ENVIRONMENT, count_cores
 from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
@@ -30,6 +31,7 @@ from planspace.study.unit import PolicyUnit, Unit
 
 from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
 
+KILLS = 3
 PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
 
@@ -219,18 +221,63 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
 
 def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
     arms = [
-        Arm(f"{task}, TRPO", "raw", (PolicyUnit(replace(BASE, task=task)),))
-        for task in ("cartpole", "cartpole-swingup")
+        Arm(f"{task}, TRPO", label, (PolicyUnit(replace(BASE, task=unit_task)),))
+        for task, unit_task in (("cartpole", "cartpole"), ("reacher-trig", "reacher-raw"))  # a shared unit
+        for label in ("raw", "z only")
     ]
     study = replace(TINY, arms=tuple(arms), claims=())
-    reached = {arms[0].name: [50.0] * 5, arms[1].name: [-250.0] * 5}  # half way, each: 50 of 100, 350 of 700
+    reached = {arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms}  # half way, each
     steps = np.array([400_000])
     scores = {
         name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0, 0) for name, values in reached.items()
     }
-    (row,) = summarise(Findings(study, {}, scores))["over_tasks"]
-    assert (row["algo"], row["arm"], row["tasks"]) == ("TRPO", "raw", 2)
-    assert row["iqm"] == 0.5 and row["iqm_interval"] == (0.5, 0.5)
+    rows = summarise(Findings(study, {}, scores))["over_tasks"]
+    assert [(row["algo"], row["arm"], row["tasks"]) for row in rows] == [
+        ("TRPO", "raw", 2),
+        ("TRPO", "z only", 2),
+    ]
+    assert all(row["iqm"] == 0.5 and row["iqm_interval"] == (0.5, 0.5) for row in rows)
+    alone = replace(study, arms=(arms[0], arms[2]))
+    assert summarise(Findings(alone, {}, scores))["over_tasks"] == []  # one arm is compared with nothing
+
+
+@pytest.mark.parametrize(
+    ("claim", "rule"),
+    [
+        (Claim("", "", "final", "a/x", "a/y"), "final: x − y > 0"),
+        (Claim("", "", "final", "a/x", "a/y", "less", 5.0), "final: x − y < -5"),
+        (Claim("", "", "early", "a/x", "a/y", "less"), "early: x − y < 0"),
+        (Claim("", "", "best", "a/x", "a/y", "same", 5.0), "best: x − y within ±5"),
+        (Claim("", "", "final", "a/x", "", margin=80.0), "final: x > 80"),
+        (Claim("", "", "spread", "a/x", "a/y"), "deviation: y / x > 1"),
+        (Claim("", "", "final", "a/x", "b/x"), "final: x (a) − x (b) > 0"),
+    ],
+)
+def test_what_makes_a_claim_hold_is_said(claim: Claim, rule: str) -> None:
+    arms = tuple(Arm(panel, label, (policy(0),)) for panel in "ab" for label in "xy")
+    found = summarise(Findings(replace(TINY, arms=arms, claims=(claim,)), {}, {}))["claims"][0]
+    assert found["rule"] == rule
+
+
+def test_a_spread_is_judged_by_its_logarithm_and_read_as_a_ratio() -> None:
+    arms, steps = tuple(Arm("a", label, (policy(0),)) for label in "xy"), np.array([8000])
+    study = replace(TINY, arms=arms, claims=(Claim("", "", "spread", "a/x", "a/y"),))
+    x = np.arange(20.0)[None]
+    found = summarise(
+        Findings(
+            study,
+            {},
+            {
+                "a/x": Scores(tuple(range(20)), steps, x, 0, 0),
+                "a/y": Scores(tuple(range(20)), steps, 3 * x, 0, 0),
+            },
+        )
+    )["claims"][0]
+    assert found["number"] == pytest.approx(3.0) and found["interval"] == pytest.approx((3.0, 3.0))
+
+
+def test_no_more_workers_than_cores(tmp_path: Path) -> None:
+    assert LocalPool(tmp_path, 10_000).size == count_cores()
 
 
 def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
@@ -266,18 +313,26 @@ def command(tmp_path: Path, out: Path) -> list[str]:
     return [sys.executable, str(script)]
 
 
+def files(out: Path) -> dict[Path, int]:
+    """What is written in it, and when it last was."""
+    found = {}
+    for path in out.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):  # renamed meanwhile
+            found[path] = path.stat().st_mtime_ns
+    return found
+
+
 @pytest.mark.slow
 def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
     out, rng = tmp_path / "out", random.Random(0)
-    for kill in range(10):
-        process = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL)
-        try:
-            process.wait(rng.uniform(2.0, 6.0) if kill < 2 else 300)
-            break
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-    assert process.returncode == 0
+    for _ in range(KILLS):
+        process, before = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL), files(out)
+        while process.poll() is None and files(out) == before:  # until it is at work
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, 2.0))
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+    assert subprocess.run(command(tmp_path, out), stderr=subprocess.DEVNULL, check=False).returncode == 0
     assert what_was_found(TINY, out) == what_was_found(TINY, finished)
 
 

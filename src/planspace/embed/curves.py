@@ -55,7 +55,10 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
 
 
 def plot_training(
-    log: Sequence[Mapping[str, Any]], kept: int | None = None, seeds: Sequence[int] | None = None
+    log: Sequence[Mapping[str, Any]],
+    kept: int | None = None,
+    seeds: Sequence[int] | None = None,
+    title: str = "Training, seed by seed",
 ) -> matplotlib.figure.Figure:
     """Draws the curves of a training, one a seed, as the paper's figure of it does.
 
@@ -65,12 +68,13 @@ def plot_training(
         log: rows as `read_log` gives them: a step, and for each curve a number a seed.
         kept: which seed was kept, counted from 0; it is drawn thicker.
         seeds: the seeds themselves, to name them by; by default they are counted.
+        title: what it is of.
 
     Raises:
         PlanspaceError: the log has no rows with a path error and a bound.
     """
     figure = matplotlib.figure.Figure(figsize=(10, 4.4), layout="constrained")
-    for axes, (name, title, label) in zip(figure.subplots(1, 2), CURVES, strict=True):
+    for axes, (name, what, label) in zip(figure.subplots(1, 2), CURVES, strict=True):
         rows = [row for row in log if name in row]
         if not rows:
             raise PlanspaceError(f"the log has no row with {name!r}; there is nothing to draw.")
@@ -87,7 +91,7 @@ def plot_training(
                 steps, mean[:, i], color=colour, linewidth=width, zorder=order, label=seed, marker=marker
             )
         _cut_early(axes, mean, low, high)
-        axes.set_title(title, loc="left")
+        axes.set_title(what, loc="left")
         axes.set_ylabel(label)
         axes.set_xlabel("optimiser steps")
         axes.xaxis.set_major_formatter(matplotlib.ticker.StrMethodFormatter("{x:,.0f}"))
@@ -95,7 +99,7 @@ def plot_training(
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     figure.suptitle(
-        f"Training, seed by seed: rolling mean of {_window(len(log))} rows of the log, and their range",
+        f"{title}: rolling mean of {_window(len(log))} rows of the log, and their range",
         x=0.02,
         ha="left",
     )

@@ -78,7 +78,11 @@ def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Fi
             axes.plot(steps, curve.best, color=colour, linewidth=1, linestyle="--")
     axes.set_xlabel("environment steps a seed [million]")
     axes.set_ylabel(f"return of an episode, mean of {SMOOTHING} iterations")
-    axes.set_title(title, loc="left")
+    axes.set_title(title, loc="left", pad=16)
+    how = "line: mean of the seeds"
+    if len(curves) <= MAX_BANDS:
+        how += "; band: second worst to second best; dashed: the run that was best"
+    axes.text(0.0, 1.005, how, transform=axes.transAxes, fontsize="x-small", color="0.4", va="bottom")
     axes.spines[["top", "right"]].set_visible(False)
     if len(curves) <= MAX_BANDS:
         axes.legend(frameon=False)

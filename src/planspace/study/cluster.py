@@ -30,7 +30,7 @@ Files = dict[str, bytes]
 
 RETRIES = 3
 """So often does Ray start a task again whose worker has died."""
-KNOCK_S, PROBE_S = 2.0, 7.0
+KNOCK_S, PROBE_S = 1.5, 6.0
 """A cluster must be reachable within the first, and let us in within the second."""
 MOST = 1_000_000
 """As many units at a time as the cluster has cores."""

@@ -1,5 +1,6 @@
 """What a study is: arms, the units they are made of, and claims with the numbers that decide them."""
 
+import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,6 +11,7 @@ from planspace.rl.config import TrainConfig
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
+SPREADS: tuple[Measure, ...] = ("spread", "early_spread")
 Expectation = Literal["more", "less", "same"]
 
 BLOCK = 5
@@ -54,6 +56,11 @@ class Arm:
     """Blocks of its seeds."""
 
     @property
+    def task(self) -> str:
+        """The task of its figure, which a unit that several share need not name."""
+        return self.panel.partition(",")[0]
+
+    @property
     def name(self) -> str:
         """Panel and label."""
         return f"{self.panel}/{self.label}"
@@ -85,6 +92,8 @@ class Claim:
     other: str
     expects: Expectation = "more"
     margin: float = 0.0
+    late: bool = False
+    """Made, or its number changed, when the returns of some seeds were known."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,14 @@ class Study:
     claims: tuple[Claim, ...] = ()
     notes: tuple[str, ...] = ()
     """What a reader of its figures must know."""
+    parts: tuple[str, ...] = ()
+    """What `only` was asked for."""
+
+    @property
+    def command(self) -> str:
+        """What runs it."""
+        only = "".join(f" --only {shlex.quote(part)}" for part in self.parts)
+        return f"planspace study {self.name} --budget {self.budget}{only}"
 
     @property
     def units(self) -> tuple[Unit, ...]:
@@ -117,7 +134,7 @@ class Study:
             raise UsageError(f"study {self.name} has no arm like {' or '.join(parts)}. Its arms: {names}.")
         names = {arm.name for arm in kept}
         claims = tuple(c for c in self.claims if c.arm in names and (not c.other or c.other in names))
-        return replace(self, arms=kept, claims=claims)
+        return replace(self, arms=kept, claims=claims, parts=parts)
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
             line={"color": colour, "width": 1, "dash": "dash"},
         )
     figure.update_layout(
-        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **plain_layout()
+        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **_flat_layout()
     )
     return figure
 
@@ -66,7 +66,7 @@ def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
         }
         figure.add_scatter(x=c.steps, y=c.mean, name=label, mode="lines", line=line)
     figure.update_layout(
-        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **plain_layout()
+        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **_flat_layout()
     )
     return figure
 
@@ -81,12 +81,40 @@ def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.fig
         axes.plot(
             returns, shares, drawstyle="steps-post", color=COLOURS[colour], linestyle=style, label=label
         )
-    axes.set_xlabel("return")
+    axes.set_xlabel("mean return at the end of training")
     axes.set_ylabel("share of seeds that reached more")
     axes.set_ylim(-0.02, 1.02)
     axes.set_title(title, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(frameon=False, fontsize="small", loc="outside right upper")
+    return figure
+
+
+def plot_reached(
+    reached: Mapping[str, np.ndarray], rows: Sequence[Mapping[str, Any]], title: str
+) -> matplotlib.figure.Figure:
+    """What each arm's seeds reached, its mean, and how sure that is.
+
+    Args:
+        reached: a number a seed for each arm, by its label.
+        rows: the arms' rows of the table, in the same order: `mean` and `mean_interval`.
+        title: of the figure.
+    """
+    figure = matplotlib.figure.Figure(figsize=(8, 1.6 + 0.36 * len(reached)), layout="constrained")
+    axes = figure.subplots()
+    for i, (x, row) in enumerate(zip(reached.values(), rows, strict=True)):
+        colour, (low, high) = COLOURS[i % len(COLOURS)], row["mean_interval"]
+        spread = np.linspace(-0.22, 0.22, len(x)) if len(x) > 1 else np.zeros(1)
+        axes.plot(x, i + spread, ".", color=colour, alpha=0.4, markersize=4)
+        axes.plot([low, high], [i, i], color=colour, linewidth=2.5)
+        axes.plot(row["mean"], i, "D", color=colour, markersize=6, markeredgecolor="white")
+    axes.set_yticks(range(len(reached)), labels=list(reached))
+    axes.invert_yaxis()
+    axes.set_xlabel("mean return at the end of training: seeds, their mean, its 95 % interval")
+    axes.set_title(title, loc="left")
+    axes.grid(axis="x", color="0.9")
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right", "left"]].set_visible(False)
     return figure
 
 
@@ -97,9 +125,8 @@ def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
         again, colour = divmod(i, len(COLOURS))
         line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[again % len(DASHES)]}
         figure.add_scatter(x=returns, y=shares, name=label, mode="lines", line=line)
-    figure.update_layout(
-        xaxis_title="return", yaxis_title="share of seeds that reached more", **plain_layout()
-    )
+    titles = {"xaxis_title": "mean return at the end of training"}
+    figure.update_layout(yaxis_title="share of seeds that reached more", **titles, **_flat_layout())
     return figure
 
 
@@ -109,7 +136,7 @@ def interactive_training(steps: Sequence[int], curves: Sequence[Sequence[float]]
     for i, values in enumerate(zip(*curves, strict=True)):
         line = {"color": COLOURS[i % len(COLOURS)], "width": 2}
         figure.add_scatter(x=list(steps), y=list(values), name=f"seed {i}", mode="lines", line=line)
-    figure.update_layout(xaxis_title="optimiser steps", yaxis_title=name, **plain_layout())
+    figure.update_layout(xaxis_title="optimiser steps", yaxis_title=name, **_flat_layout())
     return figure
 
 
@@ -129,6 +156,28 @@ def interactive_lines(paths: Sequence[Sequence[Sequence[float]]]) -> go.Figure:
     axis = {"showbackground": False, "gridcolor": "#888", "zerolinecolor": "#888"}
     axes = {f"{name}axis": {**axis, "title": f"component {i + 1}"} for i, name in enumerate("xyz")}
     figure.update_layout(scene={**axes, "aspectmode": "data"}, **plain_layout())
+    return figure
+
+
+def plot_spaces(spaces: Mapping[str, Sequence[Sequence[Sequence[float]]]]) -> matplotlib.figure.Figure:
+    """Demonstrations in several embeddings, flat: [path][state][principal component]."""
+    columns = min(len(spaces), 3)
+    rows = -(-len(spaces) // columns)
+    figure = matplotlib.figure.Figure(figsize=(4 * columns, 0.6 + 3.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).flat
+    for axes, (name, paths) in itertools.zip_longest(panels, spaces.items(), fillvalue=(None, ())):
+        axes.spines[["top", "right"]].set_visible(False)
+        if name is None:
+            axes.set_axis_off()
+            continue
+        axes.set_title(name, fontsize="small", loc="left", wrap=True)
+        for path in paths:
+            x, y = (*np.array(path).T, np.zeros(len(path)))[:2]
+            axes.plot(x, y, color="0.85", linewidth=0.6, zorder=1)
+            axes.scatter(x, y, c=np.linspace(1.0, 0.0, len(x)), s=3, cmap=COLOURMAP, zorder=2)
+            axes.plot(x[-1], y[-1], "o", color="crimson", markersize=3, zorder=3)
+    figure.supxlabel("first principal component of z", fontsize="small")
+    figure.supylabel("second principal component of z", fontsize="small")
     return figure
 
 
@@ -161,6 +210,12 @@ def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
 def _faint(colour: str) -> str:
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.18)"
+
+
+def _flat_layout() -> dict[str, Any]:
+    """The same for curves, with a grid that can be seen by day and by night."""
+    lines = {"gridcolor": "rgba(136,136,136,0.3)", "zerolinecolor": "rgba(136,136,136,0.5)"}
+    return {**plain_layout(), "xaxis": lines, "yaxis": lines}
 
 
 def plain_layout() -> dict[str, Any]:

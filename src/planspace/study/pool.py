@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from planspace.cores import available_cores, end_with_parent, worker_environment
+from planspace.cores import available_cores, count_cores, end_with_parent, worker_environment
 from planspace.errors import PlanspaceError
 from planspace.store import read_json, write_json
 from planspace.study.execute import execute
@@ -60,9 +60,9 @@ class LocalPool:
     """Processes that share out this machine's cores."""
 
     def __init__(self, out: Path, size: int):
-        """A pool of so many workers for a folder of studies."""
-        self.size, self._out = size, out
-        self._free = list(range(size))
+        """A pool of so many workers, at most one a core, for a folder of studies."""
+        self.size, self._out = min(size, count_cores()), out
+        self._free = list(range(self.size))
         self._workers: list[_Worker] = []
 
     def start(self, unit: Unit) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,17 @@ from planspace.study.figures import (
     interactive_profiles,
     interactive_training,
     plot_profiles,
+    plot_reached,
+    plot_spaces,
 )
 from planspace.study.page import embedded, write_page
 from planspace.study.summary import Findings, named_fits, summarise
+from planspace.study.unit import FitUnit
 
-MAX_SPACES = 6
-"""More embeddings than this are in the table alone; the first ones are shown to be turned."""
+SPACES = "demonstrations-in-z"
+"""The figure of embeddings."""
+MAX_SPACES = 8
+"""Of more kinds of embeddings the first are shown to be turned: browsers draw in so many frames at once."""
 THRESHOLDS = 200
 
 
@@ -55,13 +61,16 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
     for panel, arms in findings.panels().items():
         curves = {arm.label: _curve(findings, arm) for arm in arms}
         profiles = _profiles(findings, arms)
-        save_figure(plot_curves(curves, panel), figures, slug(panel))
-        save_figure(plot_profiles(profiles, panel), figures, f"{slug(panel)}-profile")
+        rows = summary["panels"][panel]
+        title = f"{panel}: {_seeds(rows)} seeds of {summary['steps'] / 1e6:g} M steps"
+        save_figure(plot_curves(curves, title), figures, slug(panel))
+        save_figure(plot_reached(_reached(findings, arms), rows, title), figures, f"{slug(panel)}-reached")
+        save_figure(plot_profiles(profiles, title), figures, f"{slug(panel)}-profile")
         panels.append(
             {
                 "name": panel,
                 "slug": slug(panel),
-                "rows": summary["panels"][panel],
+                "rows": rows,
                 "curves": embedded(interactive_curves(curves)),
                 "profiles": embedded(interactive_profiles(profiles)),
                 "films": [_film(findings, arm) for arm in arms],
@@ -70,20 +79,23 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
     content = dict(
         summary=summary,
         study=study,
-        command=f"planspace study {study.name} --budget {study.budget}",
         versions=read_json(out / CONFIG)["versions"],
         panels=panels,
+        spaces_figure=SPACES,
         final_steps=stats.FINAL_STEPS,
+        visible=stats.VISIBLE_RATIO,
     )
+    content["trainings"] = _trainings(findings, figures)
+    content["spaces"] = _spaces(findings)
+    if content["spaces"]:
+        paths = {name: findings.found(unit)["paths"] for name, unit in _shown_fits(findings).items()}
+        save_figure(plot_spaces(paths), figures, SPACES)
     write_page(folder / "tables.md", "tables.md", **content)
     path = write_page(
         folder / "report.html",
         "study.html",
-        trainings=_trainings(findings, figures),
-        spaces=_spaces(findings),
         smoothing=SMOOTHING,
         max_bands=MAX_BANDS,
-        visible=stats.VISIBLE_RATIO,
         **content,
     )
     return summary, path
@@ -101,8 +113,18 @@ def _curve(findings: Findings, arm: Arm) -> Curve:
     return learning_curve(history, max(1, SMOOTHING // rows_are))
 
 
+def _seeds(rows: list[dict[str, Any]]) -> str:
+    """How many an arm has: 15, or 15 to 75."""
+    counts = [row["seeds"] for row in rows]
+    return f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+
+
+def _reached(findings: Findings, arms: list[Arm]) -> dict[str, np.ndarray]:
+    return {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
+
+
 def _profiles(findings: Findings, arms: list[Arm]) -> dict[str, Profile]:
-    reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
+    reached = _reached(findings, arms)
     everything = np.concatenate(list(reached.values()))
     margin = 0.05 * max(float(np.ptp(everything)), 1e-9)
     thresholds = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
@@ -129,10 +151,12 @@ def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
             continue
         columns = zip(found["log_steps"], found["path_error"], found["bound"], strict=True)
         rows = [{"step": step, "path_error": error, "bound": bound} for step, error, bound in columns]
-        save_figure(plot_training(rows, found["seed"] - unit.seed), figures, f"training-{slug(name)}")
+        title, file = f"{name}, z of {unit.config.z_dim} numbers", f"training-{slug(name)}"
+        save_figure(plot_training(rows, found["seed"] - unit.seed, title=title), figures, file)
         shown.append(
             {
-                "name": f"{name}, z = {unit.config.z_dim}",
+                "name": title,
+                "file": file,
                 "kept": f"seed {found['seed'] - unit.seed}",
                 "path_error": embedded(
                     interactive_training(found["log_steps"], found["path_error"], "path error")
@@ -145,8 +169,18 @@ def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
 
 def _spaces(findings: Findings) -> list[dict[str, str]]:
     """Demonstrations as embeddings see them."""
-    fits = list(named_fits(findings).items())[:MAX_SPACES]
     return [
         {"name": name, "paths": embedded(interactive_lines(findings.found(unit)["paths"]))}
-        for name, unit in fits
+        for name, unit in _shown_fits(findings).items()
     ]
+
+
+def _shown_fits(findings: Findings) -> dict[str, FitUnit]:
+    """The first seed of each kind of embedding, on the largest dataset of each kind."""
+    kinds: dict[tuple[Any, ...], tuple[str, FitUnit]] = {}
+    for name, unit in named_fits(findings).items():
+        kind = (replace(unit.plans, num=0), unit.config)
+        _, known = kinds.get(kind, (name, unit))
+        if kind not in kinds or unit.plans.num > known.plans.num:
+            kinds[kind] = name, unit
+    return dict(list(kinds.values())[:MAX_SPACES])

@@ -12,7 +12,7 @@ import numpy as np
 
 from planspace.rl.config import BATCH_STEPS
 from planspace.study import stats
-from planspace.study.design import Arm, Study
+from planspace.study.design import SPREADS, Arm, Claim, Study
 from planspace.study.execute import is_done, read_result
 from planspace.study.pace import Pace
 from planspace.study.stats import Scores, Verdict
@@ -83,6 +83,7 @@ def summarise(findings: Findings) -> dict[str, Any]:
     return {
         "study": study.name,
         "budget": study.budget,
+        "steps": study.arms[0].units[0].config.steps,
         "question": study.question,
         "units": {"done": len(findings.results), "all": len(study.units)},
         "panels": {
@@ -143,29 +144,31 @@ def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
 
 def _over_tasks(findings: Findings) -> list[dict[str, Any]]:
     """The interquartile mean of each arm that was run on all tasks, over tasks and seeds."""
-    tasks = {arm.units[0].config.task for arm in findings.study.arms}
+    tasks = {arm.task for arm in findings.study.arms}
     found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for arm in findings.study.arms:
         config = arm.units[0].config
         if arm.name in findings.scores and config.reward == "dense":
             low, high = LEVELS[config.task]
             normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
-            found.setdefault((config.algo.upper(), arm.label), {})[config.task] = normalised
+            found.setdefault((config.algo.upper(), arm.label), {})[arm.task] = normalised
     rows = []
     for (algo, label), samples in found.items():
         if len(samples) > 1 and samples.keys() == tasks:
             number, interval = stats.iqm_over_tasks(list(samples.values()))
             row = {"algo": algo, "arm": label, "tasks": len(samples), "iqm": number}
             rows.append({**row, "iqm_interval": interval})
-    return rows
+    several = {a["algo"] for a in rows for b in rows if a["algo"] == b["algo"] and a is not b}
+    return [row for row in rows if row["algo"] in several]  # one arm alone is compared with nothing
 
 
 def _ratio(scores: Scores, base: Scores) -> tuple[float, stats.Interval] | None:
-    """Deviation over seeds of the first arm over this one's, with its interval."""
+    """Deviation over seeds of the first arm over this one's, with its interval; None where all are alike."""
     shared = tuple(seed for seed in scores.seeds if seed in base.seeds)
-    if len(shared) < 3:
+    both = scores.of_seeds(shared), base.of_seeds(shared)
+    if len(shared) < 3 or min(np.ptp(stats.final(x)) for x in both) == 0.0:
         return None
-    log, (low, high) = stats.deviation_ratio(scores.of_seeds(shared), base.of_seeds(shared))
+    log, (low, high) = stats.deviation_ratio(*both)
     return float(np.exp(log)), (float(np.exp(low)), float(np.exp(high)))
 
 
@@ -189,8 +192,30 @@ def _claim(findings: Findings, number: int) -> dict[str, Any]:
         verdict = stats.judge(claim, arm, other)
         if any(len(findings.scores[x.name].seeds) < _planned(x) for x in arms):
             verdict = replace(verdict, verdict="not finished")  # to look in between and stop is no test
-    found = {**asdict(claim), **asdict(verdict)}
-    return found if np.isfinite(verdict.number) else {**found, "number": None, "interval": None}
+    found = {**asdict(claim), **asdict(verdict), "rule": _rule(claim, arms)}
+    if not np.isfinite(verdict.number):
+        return {**found, "number": None, "interval": None}
+    if claim.measure in SPREADS:  # judged by its logarithm, read as a ratio
+        low, high = verdict.interval
+        return found | {
+            "number": float(np.exp(verdict.number)),
+            "interval": tuple(np.exp((low, high)).tolist()),
+        }
+    return found
+
+
+def _rule(claim: Claim, arms: list[Arm]) -> str:
+    """What makes a claim hold, in words: final: low-Z augment - raw > 0."""
+    several_panels = len({arm.panel for arm in arms}) > 1
+    names = {arm.name: f"{arm.label} ({arm.panel})" if several_panels else arm.label for arm in arms}
+    arm, other = (names.get(name, name) for name in (claim.arm, claim.other))
+    if claim.measure in SPREADS:
+        when = " early" if claim.measure == "early_spread" else ""
+        return f"deviation{when}: {other} / {arm} > 1"
+    number = f"{claim.measure}: {arm}" + (f" − {other}" if other else "")
+    if claim.expects == "same":
+        return f"{number} within ±{claim.margin:g}"
+    return f"{number} > {claim.margin:g}" if claim.expects == "more" else f"{number} < {-claim.margin or 0:g}"
 
 
 def _planned(arm: Arm) -> int:
