@@ -1,4 +1,6 @@
+import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -60,9 +62,12 @@ def test_effort_is_another_cost_than_duration() -> None:
     assert light.cost < problem.step_cost(simulator, quick.controls).sum()
 
 
-def test_seconds_are_a_budget_too_and_improve_all_the_while() -> None:
-    found = solve(0, replace(CONFIG, seconds=0.5, max_rounds=1))
+def test_seconds_are_a_budget_too_and_improve_all_the_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds = itertools.count()  # a clock by which each takes a second
+    monkeypatch.setattr("planspace.plan.sst.time", SimpleNamespace(monotonic=lambda: next(rounds)))
+    found = solve(0, replace(CONFIG, seconds=40.0, max_rounds=1))
     assert found.arrived and found.simulated_steps > 10 * 256
+    assert next(rounds) == 42  # when it began, 40 rounds, and one too many
 
 
 def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
