@@ -136,7 +136,7 @@ window.addEventListener("load", () => setTimeout(() => {
   document.querySelector(".film button").click();
   said.push("plays " + document.querySelector(".film button").textContent);
   said.push("plots " + document.querySelectorAll(".js-plotly-plot .main-svg").length);
-  said.push("wide " + (document.documentElement.scrollWidth <= window.innerWidth));
+  said.push("wide " + (document.body.scrollWidth <= WIDTH));
   const asked = performance.getEntriesByType("resource").filter(e => !e.name.startsWith("data:"));
   said.push("asked " + asked.length);
   document.title = "probe: " + said.join("; ");
@@ -148,7 +148,9 @@ window.addEventListener("load", () => setTimeout(() => {
 @pytest.mark.parametrize("width", [390, 1300])
 def test_it_works_in_a_browser(page: Path, chromium: str, tmp_path: Path, width: int) -> None:
     probed = tmp_path / "probed.html"
-    probed.write_text(page.read_text().replace("</body>", PROBE + "</body>"))
+    narrow = f"<style>html {{ width: {width}px; }}</style></head>"  # a window is at least 500 wide
+    html = page.read_text().replace("</head>", narrow, 1)
+    probed.write_text(html.replace("</body>", PROBE.replace("WIDTH", str(width)) + "</body>"))
     flags = [
         "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
         "--disable-background-networking", "--disable-component-update", "--enable-unsafe-swiftshader",
