@@ -356,3 +356,35 @@ def test_repair_says_what_it_found(
     assert code == 0 and "shard-00001.safetensors was altered or damaged" in out
     assert "The command that made them, run again" in out
     assert call(capsys, "demos", "validate", folder)[0] == 0
+
+
+def test_names_of_strangers_move_no_cursor(
+    demo_folder: Path, embedding_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from planspace.store import read_sealed, write_sealed
+
+    folder = shutil.copytree(demo_folder, tmp_path / "demos")
+    manifest = read_sealed(folder / "manifest.json")
+    manifest["info"] |= {"names": ["\x1b[2Jx", "two\nlines", "θ", "d"], "problem": "\x1b]0;title\x07"}
+    manifest["settings"]["planner"] = {"\x1b[31m": "\x9b"}
+    write_sealed(folder / "manifest.json", manifest)
+    code, out, _ = call(capsys, "demos", "show", folder)
+    assert code == 0 and all(line.isprintable() for line in out.split("\n"))
+    for shown in (r"\x1b[2Jx ", r"two\nlines ", "θ ", r"\x1b]0;title\x07", r"\x1b[31m", r"\x9b"):
+        assert shown in out
+    for debug in ([], ["--debug"]):
+        code, _, err = call(capsys, "measure", embedding_folder, folder, *debug)
+        assert code == 1 and r"(\x1b[2Jx, two\nlines, θ, d)" in err
+        assert all(line.isprintable() for line in err.split("\n"))
+        assert debug or len(err.splitlines()) == 1
+
+
+def test_too_little_memory_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("planspace.doctor.examine", full)
+    assert main(["doctor"]) == 1
+    assert capsys.readouterr().err == "planspace: there is not enough memory for that.\n"

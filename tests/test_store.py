@@ -98,3 +98,109 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(PlanspaceError, match="cannot write .*file/run: Not a directory"):
         store.make_folder(tmp_path / "file" / "run")
+
+
+READERS = {
+    "json": store.read_json,
+    "sealed": store.read_sealed,
+    "arrays": store.read_arrays,
+    "array": lambda path: store.read_array(path, "a"),
+    "about": store.read_arrays_about,
+    "bytes": store.read_bytes,
+}
+
+
+def write_all(folder: Path) -> dict[str, Path]:
+    folder.mkdir()
+    store.write_sealed(folder / "d.json", {"a": 1})
+    store.write_arrays(folder / "a.safetensors", {"a": np.arange(3.0)}, about={"step": 1})
+    return {
+        kind: folder / ("d.json" if kind in ("json", "sealed", "bytes") else "a.safetensors")
+        for kind in READERS
+    }
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_a_file_lies_in_its_folder_which_may_be_a_link(kind: str, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "far")[kind]
+    (tmp_path / "near").symlink_to(file.parent)
+    READERS[kind](tmp_path / "near" / file.name)
+    (file.parent / "alias").symlink_to(file.name)
+    READERS[kind](file.parent / "alias")
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "folder" / file.name
+    link.symlink_to(file)
+    with pytest.raises(PlanspaceError, match=f"{link} is a link out of its folder, to {file}; put a copy"):
+        READERS[kind](link)
+    link.unlink()
+    link.symlink_to(link)
+    with pytest.raises(PlanspaceError, match=f"cannot read {link}: Too many levels of symbolic links"):
+        READERS[kind](link)
+
+
+@pytest.mark.parametrize("part", ["embedding", "embedding-0", "checkpoint"])
+def test_a_part_of_a_run_lies_in_it(part: str, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "far")["sealed"]
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / part).symlink_to(file.parent)
+    store.read_sealed(run / part / file.name)  # of nothing
+    for mark in ("config.json", "policies.json"):
+        (run / mark).touch()
+        with pytest.raises(
+            PlanspaceError, match=f"run/{part} is a link out of its folder, to {file.parent};"
+        ):
+            store.read_sealed(run / part / file.name)
+        (run / mark).unlink()
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_what_is_larger_than_memory_is_not_read(kind: str, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "d")[kind]
+    os.truncate(file, 1 << 42)  # takes no room on the disk
+    with pytest.raises(PlanspaceError, match=f"{file} has {1 << 42} bytes; at most .* can be read here"):
+        READERS[kind](file)
+
+
+@pytest.mark.parametrize("read", [store.read_json, store.read_sealed])
+def test_a_description_of_gigabytes_is_none(read: Any, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "d")["json"]
+    os.truncate(file, 3 << 30)
+    with pytest.raises(PlanspaceError, match=f"has {3 << 30} bytes; at most {1 << 28} can be read here"):
+        read(file)
+
+
+@pytest.mark.parametrize(("kind", "call"), [("json", "json.loads"), ("about", "safetensors.numpy.load")])
+def test_a_lack_of_memory_is_one_line(
+    kind: str, call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write_all(tmp_path / "d")[kind]
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(call, fail)
+    with pytest.raises(PlanspaceError, match=f"there is not enough memory to read {file}"):
+        READERS[kind](file)
+
+
+def test_no_row_is_added_to_a_file_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    log = tmp_path / "run" / "log.jsonl"
+    store.append_row(log, {"step": 1})
+    log.rename(tmp_path / "thesis")
+    log.symlink_to(tmp_path / "thesis")
+    for target in (tmp_path / "thesis", tmp_path / "new"):
+        log.unlink()
+        log.symlink_to(target)
+        with pytest.raises(PlanspaceError, match="is a link out of its folder"):
+            store.append_row(log, {"step": 2})
+    assert (tmp_path / "thesis").read_text() == '{"step": 1}\n' and not (tmp_path / "new").exists()
+
+
+def test_a_lock_makes_no_file_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".writing-lock").symlink_to(tmp_path / "new")
+    with pytest.raises(PlanspaceError, match="cannot write .*run"), store.locked(tmp_path / "run"):
+        pass
+    assert not (tmp_path / "new").exists()

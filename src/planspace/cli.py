@@ -17,7 +17,7 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from planspace.embed.config import Metric, ObjectiveName, PresetName
 from planspace.embed.embedding import InputForm
-from planspace.errors import PartialResult, PlanspaceError, UsageError, unknown
+from planspace.errors import PartialResult, PlanspaceError, UsageError, printable, unknown
 from planspace.forms import ObsForm, RewardForm
 from planspace.rl.config import Algo, CriticName, RLPreset, ShapingForm, ZMode, ZTarget
 from planspace.track import TrackerName
@@ -229,6 +229,9 @@ class DemosImport:
     as_recorded: bool = False
     """Keep uneven time steps and wound-up angles. Otherwise all demonstrations are brought to one step, and
     angles to end in (-pi, pi]."""
+    untrusted: bool = False
+    """The problem comes from strangers: its model is read in a process of its own, in bounded memory and
+    time."""
 
     def __call__(self) -> None:
         """Imports it."""
@@ -239,8 +242,8 @@ class DemosImport:
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)
         options = ImportOptions(states, controls, self.dt, self.as_recorded)
-        info = state_info(load_problem(self.problem)) if self.problem else None
-        folder = import_demos(self.source, self.out, info, options)
+        problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
+        folder = import_demos(self.source, self.out, state_info(problem) if problem else None, options)
         print(f"{folder.num_episodes} demonstrations in {self.out}")
 
 
@@ -679,7 +682,7 @@ class Repair:
         from planspace.repair import repair
 
         lines = repair(self.folder)
-        print("\n".join(lines) or f"nothing in {self.folder} is damaged.")
+        print("\n".join(map(printable, lines)) or f"nothing in {self.folder} is damaged.")
         if lines:
             print(
                 "Damaged files were set aside. The command that made them, run again, makes what is missing."
@@ -743,13 +746,18 @@ def main(arguments: list[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except PlanspaceError as error:
         if debug:
-            traceback.print_exc()
+            _print_traceback()
         print(f"planspace: {error}", file=sys.stderr)
         return error.exit_code
+    except MemoryError:
+        if debug:
+            _print_traceback()
+        print("planspace: there is not enough memory for that.", file=sys.stderr)
+        return EXIT_FAILURE
     except Exception as error:
         if debug:
-            traceback.print_exc()
-        message = " ".join(str(error).split())
+            _print_traceback()
+        message = printable(" ".join(str(error).split()))
         print(
             f"planspace: unexpected {type(error).__name__}: {message} (--debug shows where)", file=sys.stderr
         )
@@ -771,7 +779,7 @@ def _parse(arguments: list[str]) -> Any:
             )
     except SystemExit as stop:
         if stop.code:
-            print(f"planspace: {_one_line(complaint.getvalue())}", file=sys.stderr)
+            print(f"planspace: {printable(_one_line(complaint.getvalue()))}", file=sys.stderr)
         raise
 
 
@@ -790,17 +798,22 @@ def _one_line(box: str) -> str:
     return " ".join(line for line in lines if line.strip("─-╰╯+"))
 
 
+def _print_traceback() -> None:
+    for line in traceback.format_exc().split("\n"):
+        print(printable(line), file=sys.stderr)
+
+
 def _print(value: dict[str, Any], as_json: bool, indent: str = "") -> None:
     if as_json:
         print(json.dumps(value, indent=2))
         return
     for key, item in value.items():
         if isinstance(item, dict):
-            print(f"{indent}{key}")
+            print(printable(f"{indent}{key}"))
             _print(item, False, indent + "  ")
         else:
             shown = f"{item:.4g}" if isinstance(item, float) else item
-            print(f"{indent}{key:<22}{shown}")
+            print(printable(f"{indent}{key:<22}{shown}"))
 
 
 def _print_beside(title: str, columns: dict[str, dict[str, Any]]) -> None:
@@ -809,4 +822,4 @@ def _print_beside(title: str, columns: dict[str, dict[str, Any]]) -> None:
     for row in next(iter(columns.values())):
         cells = [column.get(row, "") for column in columns.values()]
         shown = [f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in cells]
-        print(f"  {row:<18}" + "".join(f"{cell:>18}" for cell in shown))
+        print(printable(f"  {row:<18}" + "".join(f"{cell:>18}" for cell in shown)))

@@ -13,13 +13,13 @@ from planspace.demos import folder as demo_folder
 from planspace.embed import embedding
 from planspace.errors import PlanspaceError
 from planspace.rl import history, saved_policy
-from planspace.store import is_row, move, read_arrays, read_bytes, read_sealed, write_bytes
+from planspace.store import is_row, move, read_arrays, read_bytes, read_sealed, remove, write_bytes
 
 PREFIX = "damaged-"
 CHECKS: dict[str, Callable[[Path], Any]] = {
     embedding.DESCRIPTION: lambda file: embedding.load_embedding(file.parent),
     saved_policy.DESCRIPTION: lambda file: saved_policy.load_policy(file.parent),
-    history.HISTORY: read_arrays,
+    history.HISTORY: lambda file: history.load_history(file.parent),
     checkpoint.FILE.name: read_arrays,
 }
 """What is read of a folder, and how; results of studies, datasets and logs beside these."""
@@ -58,7 +58,7 @@ def _repair_one(folder: Path) -> Iterator[str]:
             if (folder / name).exists():
                 _set_aside(folder / name)
         for mark in MARKS:
-            (folder / mark).unlink(missing_ok=True)
+            remove(folder / mark)
         yield error
     if (folder / embedding.LOG).exists():
         yield from _mend_log(folder / embedding.LOG)
@@ -88,7 +88,12 @@ def _damaged_dataset(folder: Path) -> Iterator[tuple[Path, str]]:
 
 
 def _mend_log(log: Path) -> Iterator[str]:
-    lines = read_bytes(log).splitlines(keepends=True)
+    try:
+        lines = read_bytes(log).splitlines(keepends=True)
+    except PlanspaceError as error:  # no plain file
+        _set_aside(log)
+        yield str(error)
+        return
     good = [line for line in lines if is_row(line)]
     if len(good) < len(lines):
         _set_aside(log)

@@ -1,7 +1,8 @@
 """Files that survive: every write is atomic and durable, every read is checked.
 
 A file is written under a temporary name in the same folder, flushed to disk, renamed, and the folder is
-flushed too, so that a crash at any moment leaves the old file or the new one. Nothing here is pickled.
+flushed too, so that a crash at any moment leaves the old file or the new one. Nothing here is pickled. What
+is read must be a plain file, of a size that fits, and lie where it seems to lie; see `check_file`.
 """
 
 import contextlib
@@ -9,6 +10,9 @@ import errno
 import hashlib
 import json
 import os
+import re
+import stat
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -32,6 +36,27 @@ INNER = "planspace"
 """Where a safetensors file keeps what is said about its arrays."""
 CONFIG = "config.json"
 """The settings a run was started with; see `open_run`."""
+MAX_JSON_BYTES = 1 << 28
+"""No description is larger: neither a manifest of a million shards nor a model with all its meshes."""
+PART_OF_RUN = re.compile(r"checkpoint|embedding(-\d+)?")
+"""Folders in a run's that are part of it."""
+RUN_FILES = (CONFIG, "policies.json")
+"""One of these lies in every run's folder."""
+
+
+def _memory_bytes() -> int:
+    """What this process may use: all of the machine's memory, or what its container is given."""
+    try:
+        most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # Windows
+        return sys.maxsize
+    with contextlib.suppress(OSError, ValueError):  # no container, or one without a limit
+        most = min(most, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return most
+
+
+MAX_BYTES = _memory_bytes() // 4
+"""What is read in one piece is no larger: its parts are copied while they are checked and laid end to end."""
 
 
 # --- one file ---------------------------------------------------------------------------------------
@@ -68,9 +93,10 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: the file is missing, unreadable or no JSON object.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, most=MAX_JSON_BYTES)
     try:
-        return _json_object(data)
+        with within_memory(path):
+            return _json_object(data)
     except (ValueError, RecursionError) as error:
         raise PlanspaceError(f"{path} is not valid JSON ({error}).") from error
 
@@ -82,14 +108,46 @@ def _json_object(data: bytes) -> dict[str, Any]:
     return value
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, *, most: int = MAX_BYTES, may_be_link: bool = False) -> bytes:
     """Reads a whole file.
 
     Raises:
-        PlanspaceError: it is missing or unreadable.
+        PlanspaceError: it is missing or unreadable, or `check_file`, of the same arguments, refuses it.
     """
+    check_file(path, most=most, may_be_link=may_be_link)
     with explain_read(path):
         return path.read_bytes()
+
+
+def check_file(path: Path, *, most: int = sys.maxsize, may_be_link: bool = False) -> None:
+    """Refuses what is not to be opened: a pipe or a device would never end, a link may lead anywhere.
+
+    Args:
+        path: the file.
+        most: how many bytes it may have; any number where it is read piece by piece.
+        may_be_link: whether it may be a link to a file elsewhere, as what the user names himself may be. What
+            belongs to a folder of ours must lie in it; the folder itself may be a link.
+
+    Raises:
+        PlanspaceError: it is missing, no plain file, too large, or a link out of its folder.
+    """
+    if not may_be_link:
+        _refuse_link_out(path)
+        run = path.parent.parent
+        if PART_OF_RUN.fullmatch(path.parent.name) and any((run / name).exists() for name in RUN_FILES):
+            _refuse_link_out(path.parent)
+    with explain_read(path):
+        status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise PlanspaceError(f"cannot read {path}: it is no plain file.")
+    if status.st_size > most:
+        raise PlanspaceError(f"{path} has {status.st_size} bytes; at most {most} can be read here.")
+
+
+def _refuse_link_out(path: Path) -> None:
+    target, folder = os.path.realpath(path), path.parent
+    if not Path(target).is_relative_to(os.path.realpath(folder)):
+        raise PlanspaceError(f"{path} is a link out of its folder, to {target}; put a copy in its place.")
 
 
 def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
@@ -104,13 +162,14 @@ def read_sealed(path: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: missing, not JSON, or altered since it was written.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, most=MAX_JSON_BYTES)
     try:
-        value = _json_object(data)
+        with within_memory(path):
+            value = _json_object(data)
+            is_whole = value.pop(CHECKSUM_KEY, None) == json_hash(value) and data.endswith(b"\n")
     except (ValueError, RecursionError) as error:  # numbers of too many digits, too
         raise damaged(path, f"it is not valid JSON: {error}") from error
-    checksum = value.pop(CHECKSUM_KEY, None)
-    if checksum != json_hash(value) or not data.endswith(b"\n"):
+    if not is_whole:
         raise damaged(path, "it does not match its own checksum")
     return value
 
@@ -167,9 +226,10 @@ def read_arrays(path: Path, *, sha256: str | None = None) -> Arrays:
         sha256: what its hash must be; None trusts the checksum in the file, which finds damage alone.
 
     Raises:
-        PlanspaceError: missing, damaged, or its hash is another.
+        PlanspaceError: missing, damaged, its hash is another, or one that `check_file` refuses.
     """
-    return _read_arrays(path, sha256)[0]
+    with within_memory(path):
+        return _read_arrays(path, sha256)[0]
 
 
 def read_array(path: Path, name: str) -> np.ndarray:
@@ -178,6 +238,7 @@ def read_array(path: Path, name: str) -> np.ndarray:
     Raises:
         PlanspaceError: the file is missing or unreadable, or has no such array.
     """
+    check_file(path, most=MAX_BYTES)
     try:
         with explain_read(path), safetensors.safe_open(path, framework="numpy") as file:
             return file.get_tensor(name)
@@ -191,7 +252,8 @@ def read_arrays_about(path: Path) -> tuple[Arrays, dict[str, Any]]:
     Raises:
         PlanspaceError: missing, damaged, or written without it.
     """
-    arrays, about = _read_arrays(path, None)
+    with within_memory(path):
+        arrays, about = _read_arrays(path, None)
     if not isinstance(about, dict):
         raise PlanspaceError(f"{path} does not hold the description expected in it.")
     return arrays, about
@@ -226,7 +288,9 @@ def _arrays_hash(arrays: Arrays, about: Any) -> str:
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
     """Appends one JSON line to a log and flushes it; a line that does not fit leaves no part of itself."""
     with _explain_write(path):
-        new = not path.exists()
+        new = not os.path.lexists(path)
+        if not new:
+            check_file(path)
         size = 0 if new else _drop_part_of_line(path)
         try:
             with open(path, "ab", buffering=0) as file:
@@ -261,6 +325,16 @@ def is_row(line: bytes) -> bool:
         return isinstance(json.loads(line), dict)
     except (ValueError, RecursionError):
         return False
+
+
+def remove(path: Path) -> None:
+    """Removes a file, if it is there.
+
+    Raises:
+        PlanspaceError: it cannot be removed.
+    """
+    with _explain_write(path):
+        path.unlink(missing_ok=True)
 
 
 def move(file: Path, to: Path) -> None:
@@ -337,7 +411,8 @@ def locked(folder: Path) -> Iterator[None]:
         PlanspaceError: another process keeps it.
     """
     with _explain_write(folder):
-        descriptor = os.open(folder / f"{TEMPORARY_PREFIX}lock", os.O_CREAT | os.O_RDWR)
+        flags = os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)  # a link's target is not to be made
+        descriptor = os.open(folder / f"{TEMPORARY_PREFIX}lock", flags)
     try:
         if fcntl is not None:
             try:
@@ -367,10 +442,12 @@ def refusing_nonsense(path: Path) -> Iterator[None]:
     """Turns what a file that makes no sense leads to into an error that names the file.
 
     Raises:
-        PlanspaceError: something in it is missing, or of another kind, size or range than it should be.
+        PlanspaceError: something in it is missing, or of another kind, size or range than it should be; or
+            there is no memory for it.
     """
     try:
-        yield
+        with within_memory(path):
+            yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         text = " ".join(str(error).split())[:200]
         raise damaged(path, f"it makes no sense ({type(error).__name__}: {text})") from error
@@ -390,6 +467,7 @@ def file_hash(path: Path) -> str:
     Raises:
         PlanspaceError: it is missing or unreadable.
     """
+    check_file(path, may_be_link=True)
     with explain_read(path), open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -412,9 +490,23 @@ def explain_read(path: Path) -> Iterator[None]:
         PlanspaceError: it cannot be read.
     """
     try:
-        yield
+        with within_memory(path):
+            yield
     except OSError as error:
         raise PlanspaceError(f"cannot read {path}: {error.strerror or error}.") from error
+
+
+@contextlib.contextmanager
+def within_memory(path: Path | str) -> Iterator[None]:
+    """Turns a lack of memory into an error that names the file it was wanted for.
+
+    Raises:
+        PlanspaceError: there is not enough.
+    """
+    try:
+        yield
+    except MemoryError as error:
+        raise PlanspaceError(f"there is not enough memory to read {path}.") from error
 
 
 @contextlib.contextmanager

@@ -352,3 +352,64 @@ def test_assignments_are_names_and_columns() -> None:
             assignments("--state", texts)
     with pytest.raises(UsageError, match="--dt must be a positive number"):
         ImportOptions(dt=float("nan"))
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_archive_is_compressed_as_numpy_does(compression: int, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **archive(3))
+    with zipfile.ZipFile(tmp_path / "a.npz") as source, zipfile.ZipFile(tmp_path / "b.npz", "w") as target:
+        for name in source.namelist():
+            target.writestr(name, source.read(name), compress_type=compression)
+    with pytest.raises(PlanspaceError, match=r"states\.npy is compressed otherwise than NumPy does"):
+        import_npz(tmp_path / "b.npz", tmp_path / "out", None)
+
+
+def test_an_archive_that_says_more_than_deflate_can_hold_is_refused(tmp_path: Path) -> None:
+    zeros = archive(2000)["states"] * 0  # compresses as well as anything
+    np.savez_compressed(tmp_path / "a.npz", **{**archive(2000), "states": zeros})
+    import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    with zipfile.ZipFile(tmp_path / "a.npz") as source:
+        size = source.getinfo("states.npy").file_size
+    data = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "b.npz").write_bytes(
+        data.replace(size.to_bytes(4, "little"), (1 << 31).to_bytes(4, "little"))
+    )
+    with pytest.raises(PlanspaceError, match=r"states\.npy says that it has more bytes than the archive can"):
+        import_npz(tmp_path / "b.npz", tmp_path / "out", None)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_demonstration_larger_than_memory_is_not_read(
+    order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrays = archive(1)
+    np.savez(tmp_path / "a.npz", **{**arrays, "states": np.asarray(arrays["states"], order=order)})
+    size = 8 * arrays["states"].size
+    for name in ("MAX_EPISODE_BYTES", "MAX_BYTES"):
+        monkeypatch.setattr(f"planspace.demos.npz_files.{name}", size)
+    import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+    monkeypatch.setattr(
+        f"planspace.demos.npz_files.{'MAX_EPISODE_BYTES' if order == 'C' else 'MAX_BYTES'}", size - 1
+    )
+    with pytest.raises(
+        PlanspaceError, match=r"a\.npz is not .*\d numbers at once are too many for this mach"
+    ):
+        import_npz(tmp_path / "a.npz", tmp_path / "out", None)
+
+
+def test_a_lack_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("planspace.demos.convert.check_episode", fail)
+    (tmp_path / "a.csv").write_text(CSV)
+    with pytest.raises(PlanspaceError, match=r"there is not enough memory to read .*a\.csv"):
+        import_demos([str(tmp_path / "a.csv")], tmp_path / "out", None, ImportOptions())
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_that_overflow_are_refused_without_a_warning(tmp_path: Path) -> None:
+    info = StateInfo(("x",), ("rad",), (0,), 1)
+    (tmp_path / "a.csv").write_text("time,x\n-1.7e308,-1e308\n0,1e308\n1.7e308,-1e308\n")
+    with pytest.raises(PlanspaceError, match="time that is not finite"):
+        import_demos([str(tmp_path / "a.csv")], tmp_path / "out", info, ImportOptions())

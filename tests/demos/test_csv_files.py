@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planspace.demos.columns import choose_columns
 from planspace.demos.convert import export_demos, import_demos
 from planspace.demos.dataset import Demos, StateInfo
 from planspace.demos.folder import load_demos
@@ -161,3 +162,30 @@ def test_a_state_named_like_another_column_is_not_exported(tmp_path: Path) -> No
     with pytest.raises(PlanspaceError, match="the state 'time' would be taken for another column"):
         export_demos(demos, str(tmp_path / "x.csv"))
     assert not (tmp_path / "x.csv").exists()
+
+
+@pytest.mark.parametrize("num", [10_001, 200_000])
+def test_more_columns_than_a_robot_has_are_refused_at_once(num: int, tmp_path: Path) -> None:
+    row = ",".join(["0"] * num)
+    with pytest.raises(PlanspaceError, match=rf"0\.csv has {num} columns; 10000 may be"):
+        load(tmp_path, f"{','.join(map(str, range(num)))}\n{row}\n{row}\n")
+
+
+def test_columns_are_told_apart_in_one_pass(tmp_path: Path) -> None:
+    class Name(str):
+        compared = 0
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            Name.compared += 1
+            return str.__eq__(self, other)
+
+    choose_columns([Name(f"x{i}") for i in range(1000)], None, ImportOptions(), "x.csv")
+    assert Name.compared < 10_000
+
+
+def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planspace.demos.csv_files.MAX_LINE", 100)
+    load(tmp_path, PLAIN)
+    with pytest.raises(PlanspaceError, match=r"0\.csv is not a CSV file \(a line has more than 100 char"):
+        load(tmp_path, PLAIN + "1," * 50)

@@ -1,3 +1,4 @@
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,3 +141,30 @@ def test_the_hash_of_a_damaged_dataset_is_not_given(tmp_path: Path) -> None:
     shard.write_bytes(data)
     with pytest.raises(PlanspaceError, match="was altered or damaged"):
         _ = StoredDemos(tmp_path).hash
+
+
+def test_a_shard_larger_than_its_manifest_says_is_not_read(tmp_path: Path) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+    shard = tmp_path / "shard-00000.safetensors"
+    os.truncate(shard, 1 << 20)
+    with pytest.raises(PlanspaceError, match=rf"{shard} was altered .*{1 << 20} bytes, its manifest says at"):
+        load_demos(tmp_path)
+
+
+def test_shards_are_as_large_as_they_may_be(tmp_path: Path) -> None:
+    """A manifest says no less than what a shard of many short demonstrations has."""
+    states, times = np.zeros((2, 2)), np.arange(2.0)
+    short = [Episode(states, np.zeros((1, 1)), times, np.zeros(2), True, i, seed=0) for i in range(2000)]
+    DemoFolder(tmp_path, INFO, {}).append(short, 2000)
+    assert len(load_demos(tmp_path)) == 2000
+
+
+def test_what_does_not_fit_in_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
+
+    def fail(_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(np, "concatenate", fail)
+    with pytest.raises(PlanspaceError, match=f"there is not enough memory to read {tmp_path}"):
+        load_demos(tmp_path)

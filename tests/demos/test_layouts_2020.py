@@ -136,3 +136,8 @@ def test_bad_rows_of_ompl_are_refused_with_the_place(text: str, message: str, tm
 def test_rows_of_ompl_need_a_problem(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="give --problem"):
         load(tmp_path, "1 10 0 0\n2 20 6 0.2\n", suffix=".out", info=None)
+
+
+def test_a_text_without_end_is_looked_through_once(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match=r"plan_0\.json is not valid JSON"):
+        load(tmp_path, '{"state_dims": "' + '\\"' * 300_000)  # would take hours from each quotation mark on

@@ -351,3 +351,114 @@ def test_a_recorded_task_is_embedded_unchanged(minari, tmp_path: Path, capsys) -
     assert main(["embed", f"minari:{NAME}", "--out", str(tmp_path / "e"), *small]) == 0
     capsys.readouterr()
     assert load_embedding(tmp_path / "e").inputs.names == ("joint0", "joint1", "joint0vel", "joint1vel")
+
+
+# --- files of strangers -----------------------------------------------------------------------------------
+
+
+def link_out(group, elsewhere: Path) -> None:
+    import h5py
+
+    group["observations"] = h5py.ExternalLink(str(elsewhere), "secret")
+
+
+def link_in(group, elsewhere: Path) -> None:
+    import h5py
+
+    group["observations"] = h5py.SoftLink("/episode_0/actions")
+
+
+def second_name(group, elsewhere: Path) -> None:
+    group["observations"] = group["actions"]
+
+
+def numbers_elsewhere(group, elsewhere: Path) -> None:
+    group.create_dataset("observations", (3, 3), "f4", external=[(str(elsewhere), 0, 36)])
+
+
+def view_elsewhere(group, elsewhere: Path) -> None:
+    import h5py
+
+    layout = h5py.VirtualLayout((3, 3), "f4")
+    layout[:] = h5py.VirtualSource(str(elsewhere), "secret", (3, 3))
+    group.create_virtual_dataset("observations", layout)
+
+
+def numbers_without_end(group, elsewhere: Path) -> None:
+    group.create_dataset("observations", (10**11, 3), "f4", chunks=(1000, 3))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (link_out, "is a link"),
+        (link_in, "is a link"),
+        (second_name, "has a second name"),
+        (numbers_elsewhere, "keeps its numbers in another file"),
+        (view_elsewhere, "keeps its numbers in another file"),
+        (numbers_without_end, "makes its episode larger than the .* bytes that can be read"),
+    ],
+)
+def test_a_dataset_holds_its_numbers_itself(change, message: str, minari, tmp_path: Path) -> None:
+    import h5py
+
+    make_plain(minari)
+    load(tmp_path)
+    with h5py.File(tmp_path / "secret.hdf5", "w") as secret:
+        secret["secret"] = np.full((3, 3), 42, dtype=np.float32)
+    file = tmp_path / "minari" / NAME / "data" / "main_data.hdf5"
+    with h5py.File(file, "a") as opened:
+        del opened["episode_0/observations"]
+        change(opened["episode_0"], tmp_path / "secret.hdf5")
+    with pytest.raises(PlanspaceError, match=f"{file}: 'episode_0/.*' {message}"):
+        load(tmp_path)
+
+
+def test_groups_in_groups_that_double_are_refused(minari, tmp_path: Path) -> None:
+    import h5py
+
+    make_plain(minari)
+    with h5py.File(tmp_path / "minari" / NAME / "data" / "main_data.hdf5", "a") as opened:
+        group = opened["episode_0"].create_group("infos")
+        for _ in range(60):  # 2^60 ways to the last
+            inner = group.create_group("a")
+            group["b"] = inner
+            group = inner
+    with pytest.raises(PlanspaceError, match="'episode_0/infos/a' has a second name"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["data", "data/metadata.json", "data/main_data.hdf5"])
+def test_a_dataset_leads_nowhere_else(name: str, minari, tmp_path: Path) -> None:
+    make_plain(minari)
+    (tmp_path / "minari").rename(tmp_path / "other disk")
+    (tmp_path / "minari").symlink_to(tmp_path / "other disk")
+    load(tmp_path)
+    path = tmp_path / "minari" / NAME / name
+    path.rename(tmp_path / "elsewhere")
+    path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(PlanspaceError, match=f"{path} is a link, to {tmp_path / 'elsewhere'}; put a copy"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        (
+            "observation_space",
+            '{"type": "Tuple", "subspaces": [' * 900 + "]}" * 900,
+            "cannot read .*recursion",
+        ),
+        ("observation_space", '{"type": "Box"}', "cannot read .*shape"),
+        ("env_spec", "[" * 100_000, "cannot read .*recursion"),
+        ("total_episodes", 10**11, "names no sensible number of episodes"),
+        ("total_episodes", None, "names no sensible number of episodes"),
+        ("total_episodes", 7, "cannot read .*episode_1"),
+    ],
+)
+def test_metadata_that_lie_are_one_line(key: str, value, message: str, minari, tmp_path: Path) -> None:
+    make_plain(minari)
+    file = tmp_path / "minari" / NAME / "data" / "metadata.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), key: value}))
+    with pytest.raises(PlanspaceError, match=message):
+        load(tmp_path)

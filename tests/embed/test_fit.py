@@ -285,3 +285,11 @@ def test_z_of_any_size(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=20, z_dim=10)
     embedding = fit(demos, tmp_path / "e", config=config, num_seeds=1, seed=0)
     assert embedding.encode(np.zeros(4)).shape == (10,)
+
+
+def test_states_too_large_to_be_learned_from_are_refused(demos: Demos, tmp_path: Path) -> None:
+    states = demos.states.copy()
+    states[-1] = 1e300
+    with pytest.raises(PlanspaceError, match="states hold a number that is not finite, or beyond 1e"):
+        fit(replace(demos, states=states), tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0)
+    assert not (tmp_path / "e").exists()

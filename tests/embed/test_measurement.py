@@ -88,3 +88,40 @@ def test_an_array_alone_and_half_a_file_are_no_truth(tmp_path: Path) -> None:
     for name in ("a.npy", "b.npz"):
         with pytest.raises(PlanspaceError, match="is no .npz with"):
             load_truth(tmp_path / name, NAMES)
+
+
+SPLITS = {
+    "no split of it": lambda about: about["split"].pop("test"),
+    "a text": lambda about: about.update(split="x"),
+    "fractions": lambda about: about["split"].update(train=[0.5]),
+    "texts": lambda about: about["split"].update(train=["x"]),
+    "nothing that can be": lambda about: about["split"].update(train=[None]),
+    "too far": lambda about: about["split"].update(test=[10**6]),
+    "far too far": lambda about: about["split"].update(test=[10**30]),
+    "from the end": lambda about: about["split"].update(test=[-1]),
+    "twice": lambda about: about["split"].update(test=about["split"]["train"]),
+    "empty": lambda about: about["split"].update(test=[]),
+}
+
+
+@pytest.mark.parametrize("lie", SPLITS)
+def test_splits_that_cannot_be(lie: str, embedding: Embedding, demos: Demos) -> None:
+    SPLITS[lie](embedding.about)
+    with pytest.raises(PlanspaceError, match="does not deal each of them to one of train, validation, test"):
+        assess(embedding, demos)
+
+
+def test_a_split_without_its_demonstrations_is_none(embedding: Embedding, demos: Demos) -> None:
+    embedding.about.pop("settings")
+    assert list(assess(embedding, demos)["splits"]) == ["all"]
+
+
+def test_numbers_too_large_to_be_measured_are_refused(embedding: Embedding, demos: Demos) -> None:
+    states = demos.states.copy()
+    states[3] = 1e300
+    with pytest.raises(PlanspaceError, match="states hold a number that is not finite, or beyond 1e"):
+        assess(embedding, replace(demos, states=states))
+    states[3] = 0.99e15  # of a state that can be, but not what is made of it
+    weights = [weight * np.float32(1e15) for weight in embedding.encoder[0]]
+    with pytest.raises(PlanspaceError, match="z of these states, or .* hold a number"):
+        assess(replace(embedding, encoder=(weights, embedding.encoder[1])), replace(demos, states=states))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulate import Simulator, Validity, load_model, replay
+from planspace.physics.simulate import Simulator, Validity, advance, load_model, replay
 from planspace.physics.space import StateSpace
 from planspace.tasks import TASKS
 
@@ -83,6 +84,40 @@ def test_divergence_is_seen_and_does_not_reset_the_state() -> None:
     assert simulator.diverged().all()
     simulator.reset(np.zeros((1, 4)), np.array([0], dtype=np.int32))
     assert simulator.diverged().tolist() == [False, True]  # a reset clears its own warnings alone
+
+
+RUNAWAY = """<mujoco><option timestep="1e6"/><worldbody><body>
+  <joint name="j" type="hinge" axis="0 1 0"/><geom size="0.1" pos="0 0 1"/></body></worldbody>
+  <actuator><motor joint="j" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_what_mujoco_warns_of_makes_an_edge_invalid_by_itself() -> None:
+    model = load_model(RUNAWAY)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # it comes back as if all was well
+    space = replace(StateSpace.from_model(model, ["j"]), velocity_bound=np.array([np.inf]))
+    simulator = Simulator(model, space, 4, threads=1)
+    ends, valid = simulator.propagate(np.zeros((4, 2)), np.ones((4, 1)), np.full(4, 10))
+    assert np.isfinite(ends).all() and space.in_bounds(ends).all()
+    assert not valid.any()
+
+
+def test_physics_that_run_away_write_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    model = load_model(RUNAWAY)
+    space, data = StateSpace.from_model(model, ["j"]), mujoco.MjData(model)
+    simulator = Simulator(model, space, 4)
+    for _ in range(20):
+        simulator.step(np.ones((4, 1)))
+        advance(model, data, space, np.ones(1))
+    simulator.mujoco_data(0)
+    assert simulator.diverged().all()
+    assert capfd.readouterr() == ("", "") and list(tmp_path.iterdir()) == []
+    mujoco.mj_resetData(model, data)
+    data.ctrl[:] = 1.0
+    mujoco.mj_step(model, data, nstep=20)  # whoever steps by himself is warned as ever
+    assert "WARNING" in capfd.readouterr().err and (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_a_model_that_does_not_compile_says_what_mujoco_said() -> None:

@@ -116,6 +116,8 @@ def policies() -> Artefact:
     arrays["log_std"] = np.zeros((1, 1), np.float32)
     about = {"seeds": [0], "returns": [1.0], "layer_norm": False, "columns": [0, 2], "num_obs": 2}
     about |= {"action_low": [-9.0], "action_high": [9.0]}
+    about |= {"task": "cartpole", "env_id": "planspace/CartPole-v0"}
+    about |= {"obs": "raw", "z": "none", "z_to": "both"}
 
     def read(root: Path) -> bytes | None:
         if not (root / "policies.json").exists():

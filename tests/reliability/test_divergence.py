@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from planspace.plan.planner import PlannerConfig
 from planspace.plan.problem_file import load_problem
 from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
+from planspace.store import read_arrays
 from planspace.tasks import Task, find_task
 
 LONG_STEP_S = 1e6
@@ -56,8 +58,9 @@ def test_a_dataset_that_does_not_replay_is_refused(demos: Demos, tmp_path: Path)
             validate(tmp_path, replay_controls=True)
 
 
-@pytest.mark.parametrize("algo", ["trpo", "ppo"])
-def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def wild_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every task has the long step."""
     compile_task = Task.compile
 
     def compile_wild(task: Task) -> tuple[mujoco.MjModel, StateSpace]:
@@ -66,8 +69,26 @@ def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: py
         return model, space
 
     monkeypatch.setattr(Task, "compile", compile_wild)
+
+
+@pytest.mark.usefixtures("wild_tasks")
+@pytest.mark.parametrize("algo", ["trpo", "ppo"])
+def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "BATCH_STEPS", 1000)
     config = TrainConfig("cartpole-swingup", algo, num_seeds=2, steps=2 * BATCH_STEPS)
     history = training.train(config, tmp_path)
     assert np.isfinite(history["return"]).all() and not history["frozen"].any()
     assert (history["length"] < find_task("cartpole-swingup").horizon).all()  # each episode ran away
+    for file in ("policies.safetensors", "checkpoint/state.safetensors"):  # so was every gradient
+        arrays = read_arrays(tmp_path / file)
+        assert arrays and all(np.isfinite(x).all() for x in arrays.values() if x.dtype.kind == "f")
+
+
+@pytest.mark.usefixtures("wild_tasks")
+@pytest.mark.parametrize("task", ["CartPoleSwingUp", "ReacherRaw"])
+def test_environments_end_the_episode_with_the_last_sound_state(task: str) -> None:
+    env = gymnasium.make(f"planspace/{task}-v0").unwrapped
+    before, _ = env.reset(seed=0)
+    obs, reward, terminated, truncated, info = env.step(env.action_space.high)  # pyright: ignore
+    assert truncated and not terminated and info["diverged"] and np.isfinite(reward)
+    np.testing.assert_array_equal(obs, before)

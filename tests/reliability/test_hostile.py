@@ -1,19 +1,25 @@
 """Files made to do harm: each is refused with one line that names it, and nothing else happens.
 
-While they are read, an audit hook watches what Python opens, runs and connects to.
+While they are read, an audit hook watches what Python opens, moves, removes, imports, runs and connects to.
 """
 
 import contextlib
+import importlib
 import json
+import os
+import socket
 import struct
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
+from planspace.cli import main
 from planspace.demos.convert import ImportOptions, import_demos
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import validate
@@ -22,22 +28,30 @@ from planspace.embed.embedding import Embedding, load_embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics import apart
 from planspace.physics.apart import compile_apart
+from planspace.physics.guard import parse_model
 from planspace.physics.mjcf import read_model
 from planspace.plan.problem_file import load_problem
+from planspace.rl.play import make_env
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.store import file_hash, read_sealed, write_arrays, write_sealed
+from planspace.store import file_hash, read_arrays, read_sealed, write_arrays, write_sealed
 
 Read = Callable[[], Any]
 Change = Callable[[dict[str, Any]], object]
 
 # --- what happens meanwhile ------------------------------------------------------------------------------
 
-WATCHED = ("open", "os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "socket.connect")
+FILES = {"open": 1, "os.remove": 1, "os.rename": 2, "os.truncate": 1, "os.mkdir": 1, "os.rmdir": 1}
+"""What is done to files, and how many of an event's details are paths."""
+PROGRAMS = ("os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "subprocess.Popen")
+CANARY = "planspace_canary"
+"""A module that nobody imports, unless a file that names it makes him."""
+PYTHONS_OWN = [os.path.realpath(place) for place in (sys.prefix, sys.base_prefix, *sys.path) if place]
 seen: list[tuple[str, Any]] | None = None
 
 
 def _hook(event: str, details: tuple[Any, ...]) -> None:
-    if seen is not None and (event in WATCHED or event.startswith("socket.")):
+    watched = event in FILES or event in PROGRAMS or event.startswith("socket.")
+    if seen is not None and (watched or (event == "import" and details[0].startswith(CANARY))):
         seen.append((event, details))
 
 
@@ -46,25 +60,66 @@ sys.addaudithook(_hook)
 
 @contextlib.contextmanager
 def nothing_else_happens(folder: Path) -> Iterator[None]:
-    """Nothing is opened but what is in this folder and Python's own, nothing run, nothing connected."""
+    """Nothing is touched but what is in this folder and Python's own, nothing run, nothing connected."""
     global seen
     seen = []
     try:
         yield
     finally:
         events, seen = seen, None
-    own = [folder, *(Path(place) for place in {sys.prefix, sys.base_prefix, *sys.path} if place)]
+    own = [os.path.realpath(folder), *PYTHONS_OWN]
     for event, details in events:
-        assert event == "open", (event, details)
-        if not isinstance(details[0], int):
-            path = Path(str(details[0])).absolute()
-            assert any(path.is_relative_to(place) for place in own), details
+        assert event in FILES, (event, details)
+        for path in details[: FILES[event]]:
+            if not isinstance(path, int):
+                real = Path(os.path.realpath(os.fsdecode(path)))
+                assert any(real.is_relative_to(place) for place in own), (event, details)
+    assert CANARY not in sys.modules
 
 
 def assert_refused(folder: Path, read: Read, message: str) -> None:
     with nothing_else_happens(folder), pytest.raises(PlanspaceError, match=message) as caught:
         read()
-    assert "\n" not in str(caught.value) and len(str(caught.value)) < 2000
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 2000
+
+
+@pytest.fixture
+def canary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The canary can be imported, from outside of what a test allows."""
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / f"{CANARY}.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "outside")
+
+
+DEEDS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "read": ("open", lambda secret: secret.read_text()),
+    "read by a link": ("open", lambda secret: (secret.parents[1] / "allowed" / "link").read_text()),
+    "written": ("open", lambda secret: secret.write_text("")),
+    "removed": ("os.remove", lambda secret: secret.unlink()),
+    "fetched": ("os.rename", lambda secret: secret.rename(secret.parents[1] / "allowed" / "fetched")),
+    "cut off": ("os.truncate", lambda secret: os.truncate(secret, 0)),
+    "a folder": ("os.mkdir", lambda secret: (secret.parent / "new").mkdir()),
+    "an import": (CANARY, lambda secret: importlib.import_module(CANARY)),
+    "a program": ("subprocess.Popen", lambda secret: subprocess.run([sys.executable, "-c", ""], check=True)),
+    "a shell": ("os.system", lambda secret: os.system("exit 0")),
+    "a socket": ("socket", lambda secret: socket.socket().close()),
+}
+
+
+@pytest.mark.usefixtures("canary")
+@pytest.mark.parametrize("deed", DEEDS)
+def test_the_hook_sees(deed: str, tmp_path: Path) -> None:
+    event, act = DEEDS[deed]
+    secret, allowed = tmp_path / "outside" / "secret", tmp_path / "allowed"
+    secret.write_text("secret")
+    allowed.mkdir()
+    (allowed / "link").symlink_to(secret)
+    with pytest.raises(AssertionError, match=event), nothing_else_happens(allowed):
+        act(secret)
+    sys.modules.pop(CANARY, None)
+    with nothing_else_happens(allowed):
+        (allowed / "own").write_text("")
+        (allowed / "own").unlink()
 
 
 # --- embeddings ------------------------------------------------------------------------------------------
@@ -98,9 +153,10 @@ SAFETENSORS = {
 def test_weights_that_are_none(trick: str, embedding: Embedding, tmp_path: Path) -> None:
     embedding.save(tmp_path / "e")
     (tmp_path / "e" / "embedding.safetensors").write_bytes(SAFETENSORS[trick])
-    assert_refused(tmp_path, lambda: load_embedding(tmp_path / "e"), r"e.embedding\.safetensors was altered")
-    reseal(tmp_path / "e" / "embedding.json", lambda text: None)
-    assert_refused(tmp_path, lambda: load_embedding(tmp_path / "e"), r"e.embedding\.\w+ was altered")
+    folder = tmp_path / "e"
+    assert_refused(folder, lambda: load_embedding(folder), r"e.embedding\.safetensors was altered")
+    reseal(folder / "embedding.json", lambda text: None)
+    assert_refused(folder, lambda: load_embedding(folder), r"e.embedding\.\w+ was altered")
 
 
 def reseal(file: Path, change: Change) -> None:
@@ -129,6 +185,8 @@ WEIGHTS: dict[str, tuple[Change, str]] = {
     "too large a layer": (lambda a: a.update({"encoder.0.weight": np.ones((900, 7))}), "makes no sense"),
     "no deviation": (lambda a: a.update(deviation=0 * a["deviation"]), "not whole"),
     "texts for numbers": (lambda a: a.update(mean=a["mean"].astype(bool)), "makes no sense|not whole"),
+    "too large to compute with": (lambda a: a["encoder.0.weight"].fill(1e38), "what is not finite"),
+    "too large to decode with": (lambda a: a["decoder.0.weight"].fill(1e38), "what is not finite"),
 }
 
 
@@ -140,7 +198,7 @@ def test_weights_that_do_not_compute(trick: str, embedding: Embedding, tmp_path:
     change(arrays)
     write_arrays(tmp_path / "e" / "embedding.safetensors", arrays)
     reseal(tmp_path / "e" / "embedding.json", lambda text: None)
-    assert_refused(tmp_path, lambda: load_embedding(tmp_path / "e"), message)
+    assert_refused(tmp_path / "e", lambda: load_embedding(tmp_path / "e"), message)
 
 
 DESCRIPTIONS: dict[str, tuple[Change, str]] = {
@@ -153,6 +211,7 @@ DESCRIPTIONS: dict[str, tuple[Change, str]] = {
     "an angle that is no column": (lambda t: t["inputs"].update(circular_columns=[-9]), "no column"),
     "no inputs": (lambda t: t.pop("inputs"), "makes no sense"),
     "another size": (lambda t: t.update(z_dim=10**9), "other sizes than it says"),
+    "another seed": (lambda t: t["about"].update(seed=99), "seed is none of those"),
 }
 
 
@@ -161,27 +220,87 @@ def test_descriptions_that_lie(trick: str, embedding: Embedding, tmp_path: Path)
     change, message = DESCRIPTIONS[trick]
     embedding.save(tmp_path / "e")
     reseal(tmp_path / "e" / "embedding.json", change)
-    assert_refused(tmp_path, lambda: load_embedding(tmp_path / "e"), message)
+    assert_refused(tmp_path / "e", lambda: load_embedding(tmp_path / "e"), message)
 
 
-POLICIES: dict[str, Change] = {
-    "an embedding elsewhere": lambda t: t.update(embeddings=["../../secret/embedding"]),
-    "enormous observations": lambda t: t.update(num_obs=10**12),
-    "columns that are not there": lambda t: t.update(columns=[5, 9]),
-    "no seeds": lambda t: t.update(seeds=[], returns=[]),
-    "texts for returns": lambda t: t.update(returns=["x"]),
+FOREIGN = "names the environment .* for the task"
+POLICIES: dict[str, tuple[Change, str]] = {
+    "code for an environment": (lambda t: t.update(env_id=f"{CANARY}:Foo-v0"), FOREIGN),
+    "code and an environment": (lambda t: t.update(env_id=f"{CANARY}:planspace/CartPole-v0"), FOREIGN),
+    "code for a task": (lambda t: t.update(task=f"{CANARY}:Foo-v0"), FOREIGN),
+    "code for both": (lambda t: t.update(task=f"{CANARY}:a", env_id=f"{CANARY}:a"), FOREIGN),
+    "another task's environment": (lambda t: t.update(env_id="planspace/Arm-v0"), FOREIGN),
+    "Gymnasium's own environment": (lambda t: t.update(task="CartPole-v1", env_id="CartPole-v1"), FOREIGN),
+    "no environment at all": (lambda t: t.update(task=None, env_id=None), FOREIGN),
+    "a list for an environment": (lambda t: t.update(env_id=["planspace/CartPole-v0"]), "makes no sense"),
+    "no environment": (lambda t: t.pop("env_id"), "makes no sense .*env_id"),
+    "no task": (lambda t: t.pop("task"), "makes no sense .*task"),
+    "an unknown form": (lambda t: t.update(obs="pickle"), "makes no sense .*obs is 'pickle'"),
+    "no form": (lambda t: t.pop("obs"), "makes no sense .*obs is None"),
+    "an unknown reward": (lambda t: t.update(reward="os:system"), "makes no sense .*reward is 'os:system'"),
+    "z from nowhere": (lambda t: t.update(z="augment"), "makes no sense .*an embedding for each seed"),
+    "z to nobody": (lambda t: t.update(z_to=[1] * 9999), r"makes no sense .*z_to is \[1, 1, .*\.\.\.\]"),
+    "an embedding elsewhere": (lambda t: t.update(embeddings=["../../secret/embedding"]), "makes no sense"),
+    "enormous observations": (lambda t: t.update(num_obs=10**12), "makes no sense"),
+    "columns that are not there": (lambda t: t.update(columns=[5, 9]), "makes no sense"),
+    "no seeds": (lambda t: t.update(seeds=[], returns=[]), "makes no sense"),
+    "a text for a seed": (lambda t: t.update(seeds=["\x1b[2J"]), "makes no sense .*no whole numbers"),
+    "texts for returns": (lambda t: t.update(returns=["x"]), "makes no sense"),
+    "actions without end": (lambda t: t.update(action_low=[-1e308]), "makes no sense .*limit of its actions"),
+    "actions that are none": (lambda t: t.update(action_high=["pickle"]), "makes no sense"),
+    "no actions to choose from": (lambda t: t.update(action_low=[1.0]), "makes no sense .*no range"),
+}
+POLICY_WEIGHTS: dict[str, tuple[Change, str]] = {
+    "too large": (lambda a: a["1.weight"].fill(3e38), "an action of seed 0 is not finite"),
+    "no deviation": (lambda a: a["log_std"].fill(1e4), "makes no sense .*no deviation"),
+    "less than no variance": (lambda a: a.update(statistics(-1.0)), "an action of seed 0 is not finite"),
 }
 
 
-@pytest.mark.parametrize("trick", POLICIES)
-def test_policies_that_lie(trick: str, tmp_path: Path) -> None:
-    arrays = {"0.weight": np.ones((1, 1, 2), np.float32), "0.bias": np.zeros((1, 1), np.float32)}
-    about = {"seeds": [0], "returns": [1.0], "layer_norm": False, "columns": [0, 2], "num_obs": 2}
+def statistics(squares: float) -> dict[str, np.ndarray]:
+    return {"num": np.ones(1), "mean": np.zeros((1, 2)), "squares": np.full((1, 2), squares)}
+
+
+@pytest.fixture
+def policies(tmp_path: Path) -> Path:
+    """A run with one policy, of two layers."""
+    arrays = {"0.weight": np.ones((1, 2, 2), np.float32), "1.weight": np.ones((1, 1, 2), np.float32)}
+    arrays |= {"0.bias": np.zeros((1, 2), np.float32), "1.bias": np.ones((1, 1), np.float32)}
+    about = {"task": "cartpole", "env_id": "planspace/CartPole-v0", "obs": "raw", "z": "none", "z_to": "both"}
+    about |= {"seeds": [0], "returns": [1.0], "layer_norm": False, "columns": [0, 2], "num_obs": 2}
     about |= {"action_low": [-1.0], "action_high": [1.0], "embeddings": []}
-    save_policies(tmp_path, {**arrays, "log_std": np.zeros((1, 1), np.float32)}, about)
-    load_policy(tmp_path)
-    reseal(tmp_path / "policies.json", POLICIES[trick])
-    assert_refused(tmp_path, lambda: load_policy(tmp_path), "makes no sense")
+    run = tmp_path / "run"
+    run.mkdir()
+    save_policies(run, {**arrays, "log_std": np.zeros((1, 1), np.float32)}, about)
+    load_policy(run)
+    return run
+
+
+@pytest.mark.usefixtures("canary")
+@pytest.mark.parametrize("trick", POLICIES)
+def test_policies_that_lie(trick: str, policies: Path) -> None:
+    change, message = POLICIES[trick]
+    reseal(policies / "policies.json", change)
+    assert_refused(policies, lambda: load_policy(policies), message)
+
+
+@pytest.mark.parametrize("trick", POLICY_WEIGHTS)
+def test_policies_that_do_not_compute(trick: str, policies: Path) -> None:
+    change, message = POLICY_WEIGHTS[trick]
+    arrays = {name: array.copy() for name, array in read_arrays(policies / "policies.safetensors").items()}
+    change(arrays)
+    write_arrays(policies / "policies.safetensors", arrays)
+    reseal(policies / "policies.json", lambda text: None)
+    assert_refused(policies, lambda: load_policy(policies), message)
+
+
+@pytest.mark.usefixtures("canary")
+def test_a_policy_plays_in_its_tasks_environment_whatever_it_names(policies: Path) -> None:
+    policy = load_policy(policies)
+    policy.about["env_id"] = f"{CANARY}:planspace/CartPole-v0"
+    with nothing_else_happens(policies):
+        env = make_env(policy)
+    assert env.spec is not None and env.spec.id == "planspace/CartPole-v0"
 
 
 # --- datasets --------------------------------------------------------------------------------------------
@@ -208,6 +327,13 @@ MANIFESTS: dict[str, Change] = {
     "another number of states": lambda t: t["info"].update(names=["a"], units=["m"], circular_columns=[]),
     "an angle that is no column": lambda t: t["info"].update(circular_columns=[99]),
     "no info": lambda t: t.pop("info"),
+    "a shard twice": lambda t: t["shards"].append(first_shard(t)),
+    "shards that are no list": lambda t: t.update(shards={}),
+    "a beginning before the first": lambda t: t.update(next_index=-1),
+    "a text for names": lambda t: t["info"].update(names="abcd"),
+    "less than no controls": lambda t: t["info"].update(num_controls=-1),
+    "a rotation that is cut off": lambda t: t["info"].update(quaternion_columns=[2]),
+    "a text for a flag": lambda t: t["info"].update(kinematic="no"),
 }
 
 
@@ -221,7 +347,7 @@ def dataset(demos: Demos, tmp_path: Path) -> Path:
 @pytest.mark.parametrize("trick", MANIFESTS)
 def test_manifests_that_lie(trick: str, dataset: Path, tmp_path: Path) -> None:
     reseal(dataset / "manifest.json", MANIFESTS[trick])
-    assert_refused(tmp_path, lambda: load_demos(dataset), "makes no sense")
+    assert_refused(dataset, lambda: load_demos(dataset), "makes no sense")
 
 
 SHARDS: dict[str, Change] = {
@@ -234,14 +360,12 @@ SHARDS: dict[str, Change] = {
 
 @pytest.mark.parametrize("trick", SHARDS)
 def test_shards_that_lie(trick: str, dataset: Path, tmp_path: Path) -> None:
-    from planspace.store import read_arrays
-
     file = dataset / "shard-00000.safetensors"
     arrays = {name: array.copy() for name, array in read_arrays(file).items()}
     SHARDS[trick](arrays)
     write_arrays(file, arrays)
     reseal(dataset / "manifest.json", lambda text: first_shard(text).update(sha256=file_hash(file)))
-    assert_refused(tmp_path, lambda: load_demos(dataset), r"shard-00000.safetensors .*makes no sense")
+    assert_refused(dataset, lambda: load_demos(dataset), r"shard-00000.safetensors .*makes no sense")
 
 
 @pytest.mark.parametrize(
@@ -251,7 +375,7 @@ def test_shards_that_lie(trick: str, dataset: Path, tmp_path: Path) -> None:
 )
 def test_json_that_is_none(text: bytes, dataset: Path, tmp_path: Path) -> None:
     (dataset / "manifest.json").write_bytes(text)
-    assert_refused(tmp_path, lambda: load_demos(dataset), "manifest.json was altered or damaged")
+    assert_refused(dataset, lambda: load_demos(dataset), "manifest.json was altered or damaged")
 
 
 def test_archives_with_objects_in_them(tmp_path: Path) -> None:
@@ -259,22 +383,37 @@ def test_archives_with_objects_in_them(tmp_path: Path) -> None:
         def __reduce__(self) -> tuple[Any, ...]:
             return (Path.touch, (tmp_path / "sprung",))
 
-    objects = np.array([Bomb()], dtype=object)
-    np.savez(tmp_path / "bomb.npz", states=objects, controls=objects, offsets=objects)
+    given, objects = tmp_path / "given", np.array([Bomb()], dtype=object)
+    given.mkdir()
+    np.savez(given / "bomb.npz", states=objects, controls=objects, offsets=objects)
 
     def read() -> None:
-        import_demos([str(tmp_path / "bomb.npz")], tmp_path / "out", None, ImportOptions())
+        import_demos([str(given / "bomb.npz")], given / "out", None, ImportOptions())
 
-    assert_refused(tmp_path, read, r"bomb\.npz")
-    assert not (tmp_path / "sprung").exists() and not (tmp_path / "out" / "manifest.json").exists()
+    assert_refused(given, read, r"bomb\.npz")
+    assert not (tmp_path / "sprung").exists() and not (given / "out" / "manifest.json").exists()
+
+
+LONG_CELLS = {"text": "x" * 4000, "list": [0] * 4000, "object": {"x" * 4000: [[0]] * 4000}}
+
+
+@pytest.mark.parametrize("cell", LONG_CELLS.values(), ids=LONG_CELLS)
+def test_a_cell_of_any_length_is_quoted_in_part(cell: Any, tmp_path: Path) -> None:
+    (tmp_path / "plan_0.json").write_text(json.dumps({"state_dims": ["x"], "path": [[0], [cell]]}))
+    with pytest.raises(PlanspaceError, match="row 1 of its path holds .* no finite number") as caught:
+        import_demos([str(tmp_path / "plan_0.json")], tmp_path / "out", None, ImportOptions())
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
 # --- models ----------------------------------------------------------------------------------------------
 
 BODY = '<body><joint/><geom size="1"/></body>'
+HINGE = '<body><joint name="j"/><geom size="1"/></body>'
 NESTED = '<replicate count="1000">' * 4 + BODY + "</replicate>" * 4
 DEEP_BODIES = "<body>" * 10_000 + "</body>" * 10_000
 FLEX = '<flexcomp name="f" type="grid" count="900 900 900" spacing="1 1 1"/>'
+CONTACT = '<contact num="200000"/>'
+PICTURE = '<texture type="2d" builtin="flat" width="8192" height="8192"/>'
 MODELS = {
     "include outside": ('<include file="../secret.xml"/>', "outside its folder"),
     "include absolute": ('<include file="/etc/passwd"/>', "outside its folder"),
@@ -288,8 +427,8 @@ MODELS = {
     "picture outside": ('<asset><texture type="2d" file="/etc/t.png"/></asset>', "outside its folder"),
     "plugin": ('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>', "does not take such models"),
     "plugin alone": ("<worldbody><body><plugin/></body></worldbody>", "does not take such models"),
-    "copies of copies": (f"<worldbody>{NESTED}</worldbody>", "multiplies its parts"),
-    "a body of points": (f"<worldbody>{FLEX}</worldbody>", "multiplies its parts"),
+    "copies of copies": (f"<worldbody>{NESTED}</worldbody>", "parts, multiplied"),
+    "a body of points": (f"<worldbody>{FLEX}</worldbody>", "a flexible body of"),
     "infinitely many": ('<worldbody><replicate count="inf"/></worldbody>', "where a number belongs"),
     "deep": (f"<worldbody>{DEEP_BODIES}</worldbody>", "deep"),
     "a picture of any size": (
@@ -299,10 +438,27 @@ MODELS = {
     "a field of any size": ('<asset><hfield name="h" nrow="900000" ncol="900000"/></asset>', "cells"),
     "any memory": ('<size memory="900T"/>', "reserves more"),
     "any stack": ('<size nstack="9000000000000"/>', "reserves more"),
-    "any size": ('<size nuserdata="2000000000"/>', "too much"),
-    "a table of any size": ('<custom><numeric name="n" size="2000000000"/></custom>', "too much"),
+    "any size": ('<size nuserdata="2000000000"/>', "numbers"),
+    "a size of every part": (f'<size nuser_geom="90000"/><worldbody>{20 * "<geom/>"}</worldbody>', "numbers"),
+    "a table of any size": ('<custom><numeric name="n" size="2000000000"/></custom>', "numbers"),
+    "contacts without end": ('<sensor><contact num="500000000"/></sensor>', "numbers"),
+    "many sensors of many": (f"<sensor>{9 * CONTACT}</sensor>", "numbers"),
+    "an activation of any size": ('<actuator><general actdim="500000000"/></actuator>', "numbers"),
+    "a past of any length": ('<sensor><jointpos nsample="500000000"/></sensor>', "numbers"),
+    "a camera of any size": ('<worldbody><camera resolution="30000 30000"/></worldbody>', "cells"),
+    "many pictures": (f"<asset>{20 * PICTURE}</asset>", "cells"),
+    "a mesh of any size": ('<asset><mesh builtin="plate" params="5000 5000"/></asset>', "a mesh made of"),
+    "a flexible body that takes long": (
+        '<worldbody><flexcomp count="30 30 30"/></worldbody>',
+        "flexible body",
+    ),
+    "steps without end": ('<option ls_iterations="1000000000"/>', "iterations"),
+    "a step that is no number": ('<option timestep="nan"/>', "where a number belongs"),
+    "a step backwards": ('<option timestep="-0.01"/>', "a time step is positive"),
+    "no step": ('<option timestep="0"/>', "a time step is positive"),
     "stl of 10^9 faces": ('<asset><mesh file="faces.stl"/></asset>', "its header asks for"),
     "msh of 10^9 points": ('<asset><mesh file="points.msh"/></asset>', "its header asks for"),
+    "a mesh that is a pipe": ('<asset><mesh file="pipe.stl"/></asset>', "no plain file"),
     "picture of 10^12 pixels": ('<asset><texture type="2d" file="pixels.png"/></asset>', "pixels"),
 }
 BOMB = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]><mujoco model="&b;"/>'
@@ -315,6 +471,7 @@ def models(tmp_path: Path) -> Path:
     folder = tmp_path / "models"
     folder.mkdir()
     (folder / "link.xml").symlink_to(tmp_path / "secret.xml")
+    os.mkfifo(folder / "pipe.stl")
     (folder / "loop.xml").write_text('<mujoco><include file="loop.xml"/></mujoco>')
     (folder / "faces.stl").write_bytes(bytes(80) + struct.pack("<I", 10**9))
     (folder / "points.msh").write_bytes(struct.pack("<4i", 10**9, 0, 0, 0))
@@ -327,13 +484,21 @@ def models(tmp_path: Path) -> Path:
 def test_models_that_reach_out_or_ask_for_too_much(trick: str, models: Path, tmp_path: Path) -> None:
     inside, message = MODELS[trick]
     (models / "model.xml").write_text(f"<mujoco>{inside}</mujoco>")
-    assert_refused(tmp_path, lambda: read_model(models / "model.xml"), message)
+    assert_refused(models, lambda: read_model(models / "model.xml"), message)
+
+
+def test_robots_ask_for_less() -> None:
+    assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+    files = sorted(assets.glob("*.xml"))
+    assert len(files) > 10
+    for file in files:
+        parse_model(file.read_text(), str(file))
 
 
 @pytest.mark.parametrize("text", [BOMB, OUTSIDE], ids=["bomb", "outside"])
 def test_entities(text: str, models: Path, tmp_path: Path) -> None:
     (models / "model.xml").write_text(text)
-    assert_refused(tmp_path, lambda: read_model(models / "model.xml"), "entities")
+    assert_refused(models, lambda: read_model(models / "model.xml"), "entities")
 
 
 @pytest.mark.parametrize(
@@ -342,7 +507,7 @@ def test_entities(text: str, models: Path, tmp_path: Path) -> None:
 def test_the_model_in_a_dataset_reaches_out(inside: str, dataset: Path, tmp_path: Path) -> None:
     model = f"<mujoco>{inside}</mujoco>"
     reseal(dataset / "manifest.json", lambda text: text["info"].update(mjcf=model))
-    assert_refused(tmp_path, lambda: validate(dataset, replay_controls=True), "refers to the file '/etc/")
+    assert_refused(dataset, lambda: validate(dataset, replay_controls=True), "refers to the file '/etc/")
 
 
 def test_a_model_of_strangers_is_compiled_apart(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,6 +529,29 @@ def test_a_model_of_strangers_is_compiled_apart(models: Path, monkeypatch: pytes
         compile_apart(text.format(""))
 
 
+@pytest.mark.parametrize("words", ["plan", "demos import"])
+def test_a_problem_of_strangers_ends_in_one_line(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("model.xml").write_text(f'<mujoco><size memory="1000M"/><worldbody>{HINGE}</worldbody></mujoco>')
+    Path("problem.yaml").write_text("model: model.xml\njoints: [j]\nstart: [0]\ngoal: [0]\ntolerance: 0.1\n")
+    Path("demos.csv").write_text("time,x\n0,1\n0.1,2\n")
+    monkeypatch.setattr(apart, "MEMORY_BYTES", 1 << 30)
+    line = "plan problem.yaml" if words == "plan" else "demos import demos.csv --problem problem.yaml"
+    assert main([*line.split(), "--untrusted", "--out", "out"]) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("planspace: ") and "Could not allocate memory" in said
+    assert not Path("out").exists()
+
+
+def test_a_model_that_takes_all_day_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "CPU_S", 3)
+    points = '<flexcomp name="f" type="grid" count="21 21 21" spacing=".1 .1 .1" dim="3"/>'
+    with pytest.raises(PlanspaceError, match="does not compile within 3 s of one processor"):
+        compile_apart(f"<mujoco><worldbody>{points}</worldbody></mujoco>")
+
+
 # --- problems --------------------------------------------------------------------------------------------
 
 ALIASES = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
@@ -374,7 +562,12 @@ YAML = {
     "aliases in a value": ("joints: &a [*a]\n", "not valid YAML|missing|makes no sense|joints"),
     "deep": ("a: " + "[" * 100_000, "not valid YAML"),
     "large": ("# " + "x" * (1 << 20), "at most"),
+    "more keys than a second reads": ("".join(f"k{i}: 1\n" for i in range(20_000)), "at most"),
     "a key twice": ("model: a\nmodel: b\n", "comes twice"),
+    "keys of another mapping": ("a: &a {b: 1}\nc: {<<: *a}\n", "no plain text"),
+    "a list for a key": ("? [a]\n: 1\n", "no plain text"),
+    "a number for a key": ("1: 2\n", "keys that are names"),
+    "a number with colons without end": ("a: 1" + ":1" * 60_000, "a text of 120001 characters; 4096 may be"),
     "a model elsewhere": (
         "model: ../secret.xml\njoints: [a]\nstart: [0]\ngoal: [0]\ntolerance: 1\n",
         "outside its folder",
@@ -386,7 +579,7 @@ YAML = {
 def test_problems_that_do_harm(trick: str, models: Path, tmp_path: Path) -> None:
     text, message = YAML[trick]
     (models / "p.yaml").write_text(text)
-    assert_refused(tmp_path, lambda: load_problem(str(models / "p.yaml")), message)
+    assert_refused(models, lambda: load_problem(str(models / "p.yaml")), message)
     assert not list(tmp_path.rglob("sprung"))
 
 
@@ -404,5 +597,5 @@ def test_names_stay_text_in_a_page_of_paths(embedding: Embedding, demos: Demos) 
 
 
 def test_there_are_forty() -> None:
-    corpus = (SAFETENSORS, WEIGHTS, DESCRIPTIONS, POLICIES, MANIFESTS, SHARDS, MODELS, YAML)
+    corpus = (SAFETENSORS, WEIGHTS, DESCRIPTIONS, POLICIES, POLICY_WEIGHTS, MANIFESTS, SHARDS, MODELS, YAML)
     assert sum(map(len, corpus)) >= 40

@@ -14,6 +14,7 @@ from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.play import make_env, play
 from planspace.rl.rollout import Actor
+from planspace.store import read_arrays, read_sealed, write_arrays, write_sealed
 
 ARMS = {
     "plain": {},
@@ -110,3 +111,26 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     with pytest.raises(PlanspaceError, match="policies.safetensors"):
         load_policy(tmp_path / "run")
+
+
+def test_actions_without_limits_are_saved_and_played(tmp_path: Path) -> None:
+    module.train(TrainConfig("cartpole-swingup", num_seeds=1, steps=1, reward="2020"), tmp_path)
+    policy = load_policy(tmp_path)
+    assert (policy.low, policy.high) == (-np.inf, np.inf)
+    returns, demos = play(policy, 1, seed=0)
+    assert np.isfinite(returns).all() and np.isfinite(demos.controls).all()
+
+
+def test_an_action_that_is_not_finite_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path)
+    policy = load_policy(tmp_path)
+    for obs in (np.full(4, np.nan), np.full(4, 1e300)):
+        with pytest.raises(PlanspaceError, match="an action of seed 0 is not finite"):
+            policy(obs)
+    weights, description = tmp_path / "policies.safetensors", tmp_path / "policies.json"
+    arrays = {**read_arrays(weights), "2.weight": np.full((1, 1, 32), 3e38, np.float32)}
+    write_sealed(description, read_sealed(description) | {"weights_sha256": write_arrays(weights, arrays)})
+    capsys.readouterr()
+    assert main(["play", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1 and "is not finite" in said.err

@@ -91,3 +91,19 @@ def test_a_folder_of_another_kind_is_no_run(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(PlanspaceError, match="is not the folder of a `planspace run`"):
         rebuild(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "missing"),
+    [
+        ({"task": None}, "task"),
+        ({"task": ["cartpole"]}, "task"),
+        ({"budget": 3}, "budget"),
+        ({"seed": "0"}, "seed"),
+    ],
+)
+def test_settings_that_are_not_whole(change: dict[str, object], missing: str, tmp_path: Path) -> None:
+    whole = {"command": "run", "task": "cartpole", "budget": "smoke", "seed": 0}
+    (tmp_path / "config.json").write_text(json.dumps(whole | change))
+    with pytest.raises(PlanspaceError, match=f"config.json does not say the run's {missing}; restore it"):
+        rebuild(tmp_path)

@@ -1,6 +1,7 @@
 """Which columns of a table hold the time, the states and the controls."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,8 @@ from planspace.errors import PlanspaceError, unknown
 
 TIME_NAMES = ("time", "t")
 EPISODE_NAME = "episode"
+MAX_COLUMNS = 10_000
+"""No robot has so many joints."""
 NO_CONTROLS = "the source has no controls: zeros are stored in their place."
 
 
@@ -42,9 +45,12 @@ def choose_columns(
 
     Raises:
         UsageError: an option names a state or control that the problem does not have.
-        PlanspaceError: a column is missing or comes twice (the nearest name is suggested).
+        PlanspaceError: a column is missing or comes twice (the nearest name is suggested), or there are too
+            many.
     """
-    twice = sorted({name for name in header if list(header).count(name) > 1})
+    if len(header) > MAX_COLUMNS:
+        raise PlanspaceError(f"{where} has {len(header)} columns; {MAX_COLUMNS} may be.")
+    twice = sorted(name for name, count in Counter(header).items() if count > 1)
     if twice:
         raise PlanspaceError(f"{where} has two columns {twice[0]!r}; each needs a name of its own.")
     taken = set(options.states.values()) | (set(info.names) if info else set())

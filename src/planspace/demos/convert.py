@@ -23,9 +23,17 @@ from planspace.demos.minari import read_minari, write_minari
 from planspace.demos.npz_files import export_npz, read_npz
 from planspace.demos.recording import Imported, ImportOptions, refuse
 from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, printable
 from planspace.progress import shown
-from planspace.store import TEMPORARY_PREFIX, file_hash, json_hash, locked, make_folder, write_bytes
+from planspace.store import (
+    TEMPORARY_PREFIX,
+    file_hash,
+    json_hash,
+    locked,
+    make_folder,
+    within_memory,
+    write_bytes,
+)
 
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """An imported shard ends with so many demonstrations, or the one that brings it to so many states."""
@@ -57,11 +65,19 @@ def import_demos(
         UsageError: the kind is not known, or an option does not fit it.
         PlanspaceError: the source cannot be read (file, row and column are named).
     """
+    with _in_bounds(" ".join(sources)):
+        imported, origin = _read(sources, info, options)
+        return _store(imported, out, origin, options)
+
+
+def _read(
+    sources: Sequence[str], info: StateInfo | None, options: ImportOptions
+) -> tuple[Imported, dict[str, str]]:
+    """What the sources hold, and how the dataset is to name them."""
     if len(sources) == 1 and sources[0].startswith(MINARI_PREFIX):
         dataset_id = sources[0].removeprefix(MINARI_PREFIX)
         refuse(options, sources[0], states=True, controls=False, dt=True)
-        origin = {"imported": sources[0]}
-        return _store(read_minari(dataset_id, info, options), out, origin, options)
+        return read_minari(dataset_id, info, options), {"imported": sources[0]}
     files = _files(sources)
     kind = files[0].suffix.lower()
     named = kind in (".csv", ".json")
@@ -74,8 +90,16 @@ def import_demos(
         imported = read_json_paths(files, info, options)
     else:
         imported = read_out_paths(files, info)
-    origin = {"imported": _name(sources), "sha256": _hash(files)}
-    return _store(imported, out, origin, options)
+    return imported, {"imported": _name(sources), "sha256": _hash(files)}
+
+
+@contextmanager
+def _in_bounds(source: str) -> Iterator[None]:
+    """Numbers that overflow are refused once they are not finite, without a warning before; as is a source
+    that memory does not hold.
+    """
+    with within_memory(source), np.errstate(over="ignore", invalid="ignore"):
+        yield
 
 
 def import_npz(file: Path, out: Path, info: StateInfo | None) -> DemoFolder:
@@ -127,14 +151,14 @@ def minari_demos(source: str) -> Demos:
         PlanspaceError: it cannot be read.
     """
     options = ImportOptions()
-    imported = read_minari(source.removeprefix(MINARI_PREFIX), None, options)
     try:
         stage = tempfile.TemporaryDirectory(prefix="planspace-")
     except OSError as error:
         raise PlanspaceError(
             f"reading {source} takes a folder for temporary files: {error.strerror}; set TMPDIR to one."
         ) from error
-    with stage:
+    with stage, _in_bounds(source):
+        imported = read_minari(source.removeprefix(MINARI_PREFIX), None, options)
         return _in_order(imported, source, options, Path(stage.name)).load()
 
 
@@ -193,7 +217,7 @@ def _in_order(imported: Imported, source: str, options: ImportOptions, stage: Pa
         demos = _lay_down(stage / EVEN, source, info, resampled)
         _remove(stage / RECORDED)
     for notice in notices:
-        print(notice, file=sys.stderr)
+        print(printable(notice), file=sys.stderr)
     return demos
 
 

@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +19,11 @@ from jaxtyping import Float
 from planspace.demos.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Columns, choose_columns
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
-from planspace.errors import PlanspaceError
-from planspace.store import explain_read
+from planspace.errors import PlanspaceError, quoted
+from planspace.store import check_file, explain_read
 
+MAX_LINE = 1 << 24
+"""Characters of a line; what has more is no table, and may have no end."""
 Row = tuple[int, list[str]]
 """A row's cells as text, and the line it ends on."""
 
@@ -126,9 +129,10 @@ def _open_table(file: Path, info: StateInfo | None, options: ImportOptions) -> _
 
 def _rows(file: Path) -> Iterator[Row]:
     """All rows that are not empty."""
+    check_file(file, may_be_link=True)
     try:
         with explain_read(file), open(file, encoding="utf-8-sig", newline="") as text:
-            reader = csv.reader(text, strict=True)
+            reader = csv.reader(_lines(text, file), strict=True)
             for cells in reader:
                 if any(cell.strip() for cell in cells):
                     yield reader.line_num, cells
@@ -136,6 +140,13 @@ def _rows(file: Path) -> Iterator[Row]:
         raise PlanspaceError(f"{file} is not UTF-8 text ({error.reason}).") from error
     except csv.Error as error:
         raise PlanspaceError(f"{file} is not a CSV file ({error}).") from error
+
+
+def _lines(text: TextIO, file: Path) -> Iterator[str]:
+    while line := text.readline(MAX_LINE):
+        if len(line) == MAX_LINE:
+            raise PlanspaceError(f"{file} is not a CSV file (a line has more than {MAX_LINE} characters).")
+        yield line
 
 
 def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int) -> Episode:
@@ -167,10 +178,7 @@ def _numbers(table: _Table, rows: list[Row], columns: Sequence[int]) -> Float[np
             try:
                 values[i, j] = finite_number(row[column])
             except ValueError:
-                cell = (
-                    f"holds {row[column]!r}, which is no finite number" if row[column].strip() else "is empty"
-                )
-                raise PlanspaceError(
-                    f"{table.file}, line {line}: column {table.header[column]!r} {cell}."
-                ) from None
+                cell, name = row[column], quoted(table.header[column])
+                wrong = f"holds {quoted(cell)}, which is no finite number" if cell.strip() else "is empty"
+                raise PlanspaceError(f"{table.file}, line {line}: column {name} {wrong}.") from None
     return values

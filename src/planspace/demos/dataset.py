@@ -233,6 +233,28 @@ def content_hash(info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]]) 
     return digest.hexdigest()
 
 
+def check_info(info: StateInfo) -> None:
+    """Sees that what a file says of states fits together.
+
+    Raises:
+        TypeError: something in it is of another kind.
+        ValueError: it does not fit together.
+    """
+    lists = (info.names, info.units, info.joints, info.circular_columns, info.quaternion_columns)
+    if not all(isinstance(values, tuple) for values in lists) or type(info.kinematic) is not bool:
+        raise TypeError("what it says of the states is of the wrong kinds")
+    size = len(info.names)
+    texts = (*info.names, *info.units, *info.joints, info.problem, info.mjcf)
+    numbers = (*info.circular_columns, *info.quaternion_columns, info.num_controls)
+    if not all(isinstance(text, str) for text in texts) or not all(type(n) is int for n in numbers):
+        raise TypeError("what it says of the states is of the wrong kinds")
+    columns = (*info.circular_columns, *(first + k for first in info.quaternion_columns for k in range(4)))
+    if not size or len(info.units) != size or not all(0 <= column < size for column in columns):
+        raise ValueError("what it says of the states does not fit together")
+    if info.num_controls < 0:
+        raise ValueError(f"it has {info.num_controls} controls")
+
+
 def check_episode(info: StateInfo, episode: Episode) -> None:
     """Refuses an episode that is none.
 

@@ -6,6 +6,7 @@ DIR/log.jsonl                  dates and wall times, outside every hash
 """
 
 import json
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
@@ -16,15 +17,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from planspace.demos.dataset import Demos, Episode, StateInfo, content_hash, split
+from planspace.demos.dataset import Demos, Episode, StateInfo, check_info, content_hash, split
 from planspace.errors import PlanspaceError
 from planspace.store import (
+    check_file,
+    damaged,
     differences,
     make_folder,
     read_array,
     read_arrays,
     read_described,
     refusing_nonsense,
+    within_memory,
     write_arrays,
     write_sealed,
 )
@@ -34,6 +38,9 @@ MANIFEST = "manifest.json"
 MINARI_PREFIX = "minari:"
 MOST = 2**48
 """No shard has so many states."""
+HEADER_BYTES = 1 << 16
+"""What a shard has beside its numbers, at most."""
+SHARD_NAME = re.compile(r"shard-\d{5,9}\.safetensors")
 ARRAYS = ("states", "controls", "times", "offsets", "goals", "success", "indices", "seeds", "costs")
 """What a shard holds."""
 
@@ -98,10 +105,12 @@ class StoredDemos:
         Raises:
             PlanspaceError: a shard is missing or altered (it is named).
         """
-        parts = [self._read(shard) for shard in self._shards]
-        offsets = _end_to_end([part.pop("offsets") for part in parts])
-        whole = {key: np.concatenate([part.pop(key) for part in parts]) for key in ARRAYS if key != "offsets"}
-        return Demos(info=self.info, offsets=offsets, **whole)
+        with within_memory(self.path):
+            parts = [self._read(shard) for shard in self._shards]
+            offsets = _end_to_end([part.pop("offsets") for part in parts])
+            names = [name for name in ARRAYS if name != "offsets"]
+            whole = {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
+            return Demos(info=self.info, offsets=offsets, **whole)
 
     @cached_property
     def offsets(self) -> Int[np.ndarray, " bound"]:
@@ -199,7 +208,7 @@ class DemoFolder:
         """
         if episodes:
             demos = Demos.from_episodes(self._info, episodes)
-            name = f"shard-{len(self.shards):05d}.safetensors"
+            name = _shard_name(len(self.shards))
             sha256 = write_arrays(self.path / name, {key: getattr(demos, key) for key in ARRAYS})
             shard = {"file": name, "sha256": sha256, "episodes": len(demos), "states": len(demos.states)}
             self.shards = [*self.shards, shard]
@@ -232,13 +241,14 @@ def keep_whole_shards(path: Path) -> list[tuple[Path, str]]:
     manifest, info = _described(path)
     next_index = 0
     for number, shard in enumerate(manifest["shards"]):
+        name = str(shard["file"]) if SHARD_NAME.fullmatch(str(shard["file"])) else _shard_name(number)
         try:
             with refusing_nonsense(path / MANIFEST):
                 next_index = int(_read_shard(path, shard, info)["indices"][-1]) + 1
         except PlanspaceError as error:
             kept = {"shards": manifest["shards"][:number], "next_index": next_index}
             write_sealed(path / MANIFEST, {**manifest, **kept})
-            return [(path / Path(str(shard["file"])).name, str(error))]
+            return [(path / name, str(error))]
     return []
 
 
@@ -252,11 +262,16 @@ def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
         known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
         known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
         info = StateInfo(**known)
-        _check_info(info)
+        check_info(info)
         if not isinstance(manifest["settings"], dict) or type(manifest["next_index"]) is not int:
             raise TypeError("its settings or next_index are of the wrong kind")
+        if not isinstance(manifest["shards"], list) or manifest["next_index"] < 0:
+            raise ValueError("its shards are no list, or next_index is negative")
+        files = [str(shard["file"]) for shard in manifest["shards"]]
+        if len(set(files)) < len(files):
+            raise ValueError("it names a shard twice")
         for shard in manifest["shards"]:
-            _ = shard["file"], shard["sha256"]
+            _ = shard["sha256"]
             episodes, states = shard["episodes"], shard["states"]
             if type(episodes) is not int or type(states) is not int or not 0 < episodes <= states < MOST:
                 raise ValueError(f"a shard of {episodes} demonstrations and {states} states")
@@ -266,6 +281,10 @@ def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
 def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str, np.ndarray]:
     """Reads and verifies a shard of which the manifest says this."""
     file = _shard_file(path, shard)
+    most = HEADER_BYTES + 8 * sum(math.prod(shape) for shape in _shapes(shard, info).values())
+    check_file(file)
+    if (size := file.stat().st_size) > most:
+        raise damaged(file, f"it has {size} bytes, its manifest says at most {most}")
     arrays = read_arrays(file, sha256=str(shard["sha256"]))
     with refusing_nonsense(file):
         _check_arrays(arrays, shard, info)
@@ -273,24 +292,19 @@ def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str,
 
 
 def _shard_file(path: Path, shard: dict[str, Any]) -> Path:
-    if not re.fullmatch(r"shard-\d{5,9}\.safetensors", str(shard["file"])):
+    if not SHARD_NAME.fullmatch(str(shard["file"])):
         raise ValueError(f"{shard['file']!r} is no name of a shard")
     return path / shard["file"]
 
 
-def _check_info(info: StateInfo) -> None:
-    size, angles = len(info.names), (*info.circular_columns, *info.quaternion_columns)
-    texts = (*info.names, *info.units, *info.joints, info.problem, info.mjcf)
-    numbers = (*angles, info.num_controls)
-    if not all(isinstance(text, str) for text in texts) or not all(type(n) is int for n in numbers):
-        raise TypeError("what it says of the states is of the wrong kinds")
-    if not size or len(info.units) != size or not all(0 <= column < size for column in angles):
-        raise ValueError("what it says of the states does not fit together")
+def _shard_name(number: int) -> str:
+    return f"shard-{number:05d}.safetensors"
 
 
-def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: StateInfo) -> None:
+def _shapes(shard: dict[str, Any], info: StateInfo) -> dict[str, tuple[int, ...]]:
+    """The shapes that the arrays of a shard must have."""
     num, rows = int(shard["episodes"]), int(shard["states"])
-    shapes = {
+    return {
         "states": (rows, len(info.names)),
         "controls": (rows - num, info.num_controls),
         "times": (rows,),
@@ -298,12 +312,15 @@ def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: St
         "goals": (num, len(info.names)),
         **dict.fromkeys(("success", "indices", "seeds", "costs"), (num,)),
     }
-    for name, shape in shapes.items():
+
+
+def _check_arrays(arrays: dict[str, np.ndarray], shard: dict[str, Any], info: StateInfo) -> None:
+    for name, shape in _shapes(shard, info).items():
         kind = {"offsets": "i", "indices": "i", "seeds": "i", "success": "b"}.get(name, "f")
         if arrays[name].shape != shape or arrays[name].dtype.kind != kind:
             raise ValueError(f"{name} has shape {arrays[name].shape} and type {arrays[name].dtype}")
     offsets = arrays["offsets"]
-    if offsets[0] != 0 or offsets[-1] != rows or not (np.diff(offsets) > 0).all():
+    if offsets[0] != 0 or offsets[-1] != shard["states"] or not (np.diff(offsets) > 0).all():
         raise ValueError("its demonstrations do not lie end to end")
     for name in ("states", "controls", "times"):
         if not np.isfinite(arrays[name]).all():

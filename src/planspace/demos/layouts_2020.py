@@ -26,11 +26,12 @@ from jaxtyping import Float
 from planspace.demos.columns import NO_CONTROLS, Columns, choose_columns
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
-from planspace.errors import PlanspaceError, UsageError
-from planspace.store import read_bytes
+from planspace.errors import PlanspaceError, UsageError, quoted
+from planspace.store import MAX_JSON_BYTES, read_bytes
 
-TRAILING_COMMA = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{]\s*,|,(?=\s*[\]}])', re.DOTALL)
-"""Texts and a comma that opens a list are matched so as to be passed over."""
+TRAILING_COMMA = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[{]\s*,|,(?=\s*[\]}])', re.DOTALL)
+"""Texts and a comma that opens a list are matched so as to be passed over; a text without an end goes to the
+file's, or each quotation mark in it would be tried as the beginning of one."""
 
 LARGEST = sys.float_info.max
 
@@ -173,18 +174,18 @@ def _floats(cells: Sequence[str], place: str) -> list[float]:
         try:
             numbers.append(finite_number(cell))
         except ValueError:
-            raise PlanspaceError(f"{place} holds {cell!r}, which is no finite number.") from None
+            raise PlanspaceError(f"{place} holds {quoted(cell)}, which is no finite number.") from None
     return numbers
 
 
 def _check_numbers(row: Sequence[Any], place: str) -> None:
     for cell in row:
         if isinstance(cell, bool) or not isinstance(cell, int | float) or not abs(cell) <= LARGEST:
-            raise PlanspaceError(f"{place} holds {cell!r}, which is no finite number.")
+            raise PlanspaceError(f"{place} holds {quoted(cell)}, which is no finite number.")
 
 
 def _text(file: Path) -> str:
     try:
-        return read_bytes(file).decode("utf-8-sig")
+        return read_bytes(file, most=MAX_JSON_BYTES, may_be_link=True).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise PlanspaceError(f"{file} is not UTF-8 text ({error}).") from error

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos, Episode, StateInfo, check_info
+from planspace.demos.minari_files import check_files
 from planspace.demos.observations import choose_states, flat
 from planspace.demos.recorded_task import RecordedTask, recorded_task
 from planspace.demos.recording import Imported, ImportOptions, anonymous_info, check_rising, recorded
@@ -31,6 +32,8 @@ TIME_KEY = "time"
 """The entry of an episode's `infos` in which our exporter keeps when each state was reached [s]; a column,
 because Minari 0.5 cannot read a vector back from Arrow."""
 STEP_KEY = "dt"
+MAX_EPISODES = 10_000_000
+"""Minari makes a list of so many numbers as a file says it has episodes."""
 ID_PATTERN = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
 
 
@@ -90,12 +93,17 @@ def _load(dataset_id: str) -> tuple[dict[str, Any], Iterator[tuple[Any, dict[str
             f"Minari has no dataset {dataset_id!r} on this machine; "
             f"`minari download {dataset_id}` fetches one that is published."
         )
+    with _explained(f"Minari cannot read {dataset_id!r}"):
+        check_files(_folder(dataset_id))
     metadata = read_json(file)
     for key in ("observation_space", "action_space"):
         if not isinstance(metadata.get(key), str):  # Minari would make the environment to find it out
             raise PlanspaceError(
                 f"{file} names no {key}; finding it would run code that the file names, which is refused."
             )
+    count = metadata.get("total_episodes")
+    if type(count) is not int or not 0 <= count <= MAX_EPISODES:
+        raise PlanspaceError(f"{file} names no sensible number of episodes (total_episodes).")
     with _explained(f"Minari cannot read {dataset_id!r}"):
         dataset = minari.load_dataset(dataset_id)
         num = len(dataset.episode_indices)
@@ -122,14 +130,13 @@ def _our_info(metadata: dict[str, Any], dataset_id: str) -> StateInfo | None:
             if key in known
         }
         info = StateInfo(**entries)
-        fits = len(info.names) == len(info.units) and isinstance(info.mjcf, str)
-        fits = fits and all(0 <= column < len(info.names) for column in info.circular_columns)
-        fits = fits and all(isinstance(text, str) for text in (*info.names, *info.units, *info.joints))
-        fits = fits and isinstance(info.num_controls, int) and info.num_controls >= 0
+        check_info(info)
     except (KeyError, TypeError, AttributeError) as error:
         raise PlanspaceError(f"the metadata of {dataset_id!r} that planspace wrote is damaged.") from error
-    if not fits:
-        raise PlanspaceError(f"the metadata of {dataset_id!r} that planspace wrote contradicts itself.")
+    except ValueError as error:
+        raise PlanspaceError(
+            f"the metadata of {dataset_id!r} that planspace wrote contradicts itself."
+        ) from error
     return info
 
 
@@ -156,14 +163,11 @@ def _our_episode(
         times = np.asarray(infos[TIME_KEY], dtype=float).reshape(len(states))
         goal = np.full(states.shape[1], np.nan)
         goal[:] = np.asarray(extra.get(f"{prefix}goal", np.nan), dtype=float)
-        success, index, seed = (
-            bool(extra[f"{prefix}success"]),
-            extra[f"{prefix}index"],
-            extra[f"{prefix}seed"],
-        )
+        success = bool(extra[f"{prefix}success"])
+        index, seed = (int(np.int64(extra[prefix + key])) for key in ("index", "seed"))
         cost = float(extra.get(f"{prefix}cost", np.nan))
-        episode = Episode(states, controls, times, goal, success, int(index), int(seed), cost)
-    except (KeyError, TypeError, ValueError) as error:
+        episode = Episode(states, controls, times, goal, success, index, seed, cost)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise PlanspaceError(f"{where}: what planspace wrote of it is damaged ({error}).") from error
     check_rising(times, lambda k: f"{where}, state {k}")
     return episode
@@ -278,5 +282,7 @@ def _explained(what: str) -> Iterator[None]:
     """Turns what Minari raises on a dataset it does not like into one line."""
     try:
         yield
-    except (ImportError, OSError, ValueError, KeyError, TypeError, AttributeError, AssertionError) as error:
+    except PlanspaceError:
+        raise
+    except Exception as error:  # what it, HDF5, Arrow and Gymnasium raise on nonsense is no short list
         raise PlanspaceError(f"{what}: {' '.join(str(error).split()) or type(error).__name__}.") from error

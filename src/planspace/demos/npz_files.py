@@ -17,9 +17,15 @@ import numpy as np
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, anonymous_info, check_rising, recorded
 from planspace.errors import PlanspaceError
-from planspace.store import explain_read, write_bytes
+from planspace.store import MAX_BYTES, check_file, explain_read, write_bytes
 
 KEYS = ("states", "controls", "time", "offsets")
+COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""NumPy's; others can make anything of a few bytes."""
+MOST_DEFLATED = 1032
+"""Bytes that one of deflate's becomes at most: 258 for two bits."""
+MAX_EPISODE_BYTES = MAX_BYTES // 8
+"""Of one array of a demonstration, of which several copies are made on its way."""
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
@@ -96,7 +102,7 @@ class _Column:
             raise ValueError(f"{key} has the shape {self.shape}")
         self._whole: Iterator[np.ndarray] | None = None
         if by_column and len(self.shape) > 1:  # a row is then all over the file
-            flat = self._read(int(np.prod(self.shape, dtype=object)))
+            flat = self._read(int(np.prod(self.shape, dtype=object)), MAX_BYTES)
             self._whole = iter(flat.reshape(self.shape, order="F"))
 
     def take(self, num: int) -> np.ndarray:
@@ -104,14 +110,16 @@ class _Column:
         if self._whole is not None:
             return np.stack(list(itertools.islice(self._whole, num)))
         rest = self.shape[1:]
-        return self._read(num * int(np.prod(rest, dtype=object))).reshape(num, *rest)
+        return self._read(num * int(np.prod(rest, dtype=object)), MAX_EPISODE_BYTES).reshape(num, *rest)
 
     def end(self) -> None:
         """Sees that there is no more; the archive's own checksum is looked at then."""
         if self._source.read(1):
             raise ValueError("an array is longer than it says")
 
-    def _read(self, num: int) -> np.ndarray:
+    def _read(self, num: int, most: int) -> np.ndarray:
+        if 8 * num > most:  # they are kept as float64
+            raise ValueError(f"{num} numbers at once are too many for this machine's memory")
         size = num * self._dtype.itemsize
         data = self._source.read(size)
         if len(data) < size:
@@ -121,11 +129,17 @@ class _Column:
 
 @contextmanager
 def _columns(file: Path, keys: Sequence[str]) -> Iterator[list[_Column]]:
+    check_file(file, may_be_link=True)
     with _explained(file), ExitStack() as opened:
         archive = opened.enter_context(zipfile.ZipFile(file))
         missing = [key for key in keys if f"{key}.npy" not in archive.namelist()]
         if missing:
             raise PlanspaceError(f"{file} has no array {missing[0]!r}; it needs {', '.join(KEYS)}.")
+        for part in (archive.getinfo(f"{key}.npy") for key in keys):
+            if part.compress_type not in COMPRESSIONS:
+                raise ValueError(f"{part.filename} is compressed otherwise than NumPy does")
+            if part.file_size > MOST_DEFLATED * file.stat().st_size:
+                raise ValueError(f"{part.filename} says that it has more bytes than the archive can hold")
         sources = [opened.enter_context(archive.open(f"{key}.npy")) for key in keys]
         yield [_Column(source, key, file) for source, key in zip(sources, keys, strict=True)]
 

@@ -72,7 +72,7 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
     spec = metadata.get("env_spec")
     try:
         spec = json.loads(spec) if isinstance(spec, str) else spec
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(spec, dict):
         return None

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.embed.support import Support
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.store import (
     CONFIG,
     Arrays,
@@ -37,6 +37,8 @@ CARD, LOG = "README.md", "log.jsonl"
 ARCHITECTURE = "relu-gaussian"
 """The one architecture there is: `embed.networks`. A file names it; it never names code."""
 MIN_DEVIATION = 1e-6
+LARGEST = 1e15
+"""No number of a state is larger, or of z; its square still fits in float32."""
 ONE_THREAD = 2**18
 """OpenBLAS makes a product of so many multiplications in the thread that asks for it. States are encoded in
 blocks as small: a thread it had woken would spin on, on a core that the next step of the physics needs."""
@@ -373,8 +375,8 @@ def load_embedding(path: str | Path) -> Embedding:
 def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
     if text["architecture"] != ARCHITECTURE:
         raise PlanspaceError(
-            f"{path / DESCRIPTION} names the architecture {text['architecture']!r}; this planspace knows "
-            f"{ARCHITECTURE!r} alone."
+            f"{path / DESCRIPTION} names the architecture {quoted(text['architecture'])}; this planspace "
+            f"knows {ARCHITECTURE!r} alone."
         )
     arrays = read_arrays(path / WEIGHTS, sha256=str(text["weights_sha256"]))
     if any(array.dtype.kind != "f" for array in arrays.values()):
@@ -404,20 +406,40 @@ def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
     )
 
 
+@np.errstate(all="ignore")  # it looks itself whether all is finite
 def _try_out(embedding: Embedding, z_dim: int) -> None:
     """Sees that the parts fit together, as the description says."""
     inputs, layers = embedding.inputs, (*embedding.encoder[0], *embedding.decoder[0])
     angles = inputs.circular_columns
     if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
         raise ValueError("an angle is no column of the state")
+    settings = embedding.about.get("settings", {})
+    if "seeds" in settings and embedding.about["seed"] not in settings["seeds"]:
+        raise ValueError("its seed is none of those that were trained")
     if not layers or len(inputs.units) != len(inputs.names) or not (inputs.deviation > 0).all():
         raise ValueError("its inputs or its networks are not whole")
-    state = np.zeros((2, len(inputs.names)))
+    state = np.stack([np.zeros(len(inputs.names)), np.ones(len(inputs.names))])
     z = embedding.encode(state)
-    if z.shape != (2, z_dim) or embedding.decode(z).shape != state.shape:
+    decoded = embedding.decode(z)
+    if z.shape != (2, z_dim) or decoded.shape != state.shape:
         raise ValueError("its networks have other sizes than it says")
+    if not (np.isfinite(z).all() and np.isfinite(decoded).all()):
+        raise ValueError("its networks make of ones what is not finite")
     if embedding.support is not None:
         embedding.outside_support(state)
+
+
+def check_numbers(what: str, *arrays: np.ndarray) -> None:
+    """Sees that numbers can be computed with.
+
+    Raises:
+        PlanspaceError: one is not finite, or larger than any that is measured.
+    """
+    if not all((np.abs(array) <= LARGEST).all() for array in arrays):
+        raise PlanspaceError(
+            f"{what} hold a number that is not finite, or beyond {LARGEST:g}: look at the data, or give them "
+            "another unit."
+        )
 
 
 def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:

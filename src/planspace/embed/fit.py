@@ -21,6 +21,7 @@ from planspace.embed.embedding import (
     LOG,
     Embedding,
     Inputs,
+    check_numbers,
     load_embedding,
 )
 from planspace.embed.geometry import (
@@ -154,6 +155,7 @@ class _Prepared:
 def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
     split = demos.split(split_seed)
     demos = demos.select(config.columns or demos.info.names)
+    check_numbers("the demonstrations' states", demos.states)
     lengths = np.diff(demos.offsets)
     for name, part in split.items():
         if (lengths[part] < MIN_STATES).all():

@@ -10,7 +10,7 @@ import scipy.stats
 from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding
+from planspace.embed.embedding import Embedding, check_numbers
 from planspace.embed.geometry import (
     bootstrap_intervals,
     measure_constant,
@@ -20,8 +20,10 @@ from planspace.embed.geometry import (
 )
 from planspace.errors import PlanspaceError
 from planspace.progress import progress
+from planspace.store import MAX_BYTES, check_file
 
 TRUTH_KEYS = ("states", "time", "goal")
+SPLITS = ("train", "validation", "test")
 
 
 def assess(embedding: Embedding, demos: Demos, truth: Path | None = None) -> dict[str, Any]:
@@ -39,9 +41,14 @@ def assess(embedding: Embedding, demos: Demos, truth: Path | None = None) -> dic
         `checks`: see there.
 
     Raises:
-        PlanspaceError: the demonstrations lack a state the embedding reads, or `truth` does not fit.
+        PlanspaceError: the demonstrations lack a state the embedding reads, numbers are too large to be
+            computed with, or `truth` or the embedding's own split does not fit.
     """
     used = demos.select(embedding.inputs.names)
+    check_numbers("the demonstrations' states", used.states)
+    with np.errstate(over="ignore", invalid="ignore"):  # whether all is finite is seen here
+        z = embedding.encode(used.states)
+        check_numbers("z of these states, or the states decoded from it,", z, embedding.decode(z))
     splits = split_of(embedding, demos)
     reference = splits.get("train", np.arange(len(demos)))
     found = {"splits": {}, "checks": checks(embedding, used, truth, demos.info.names)}
@@ -53,11 +60,25 @@ def assess(embedding: Embedding, demos: Demos, truth: Path | None = None) -> dic
 
 
 def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
-    """The splits it was trained with, if these are its demonstrations; otherwise `all`."""
+    """The splits it was trained with, if these are its demonstrations; otherwise `all`.
+
+    Raises:
+        PlanspaceError: they are, but what it says of the splits cannot be.
+    """
     about = embedding.about
-    if "split" in about and about["settings"]["demos"] == demos.hash:
-        return {name: np.array(part) for name, part in about["split"].items()}
-    return {"all": np.arange(len(demos))}
+    if "split" not in about or about.get("settings", {}).get("demos") != demos.hash:
+        return {"all": np.arange(len(demos))}
+    try:
+        splits = {name: np.array(about["split"][name], dtype=int).ravel() for name in SPLITS}
+    except (KeyError, TypeError, ValueError, OverflowError):
+        splits = {name: np.empty(0, dtype=int) for name in SPLITS}
+    dealt = np.sort(np.concatenate(list(splits.values())))
+    if not np.array_equal(dealt, np.arange(len(demos))) or not all(map(len, splits.values())):
+        raise PlanspaceError(
+            f"the embedding says it was trained on these {len(demos)} demonstrations, but does not deal each "
+            f"of them to one of {', '.join(SPLITS)}: its file was altered. Train it anew."
+        )
+    return splits
 
 
 def checks(
@@ -103,6 +124,7 @@ def load_truth(path: Path, columns: tuple[str, ...]) -> tuple[np.ndarray, np.nda
     Raises:
         PlanspaceError: it cannot be read, lacks an array, or sizes do not fit.
     """
+    check_file(path, most=MAX_BYTES, may_be_link=True)
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: np.asarray(file[key], dtype=float) for key in TRUTH_KEYS}

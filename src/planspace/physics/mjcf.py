@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, unknown
-from planspace.physics.guard import FILE_ATTRIBUTES, check_asset, parse_model
+from planspace.physics.guard import COMPILE_ERRORS, FILE_ATTRIBUTES, check_asset, parse_model
 from planspace.store import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
@@ -43,14 +43,14 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
             spec.compile()
             return text
         _take_in_files(spec)
-    except ValueError as error:
+    except COMPILE_ERRORS as error:
         raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
     try:
         for name in held:
             _hold(spec, name)
         spec.compile()
         return spec.to_xml()
-    except ValueError as error:
+    except COMPILE_ERRORS as error:
         raise PlanspaceError(
             f"{path}: the joints {', '.join(held)} cannot be held: {' '.join(str(error).split())}. Plan for "
             "them too, or take out of the model what refers to them."

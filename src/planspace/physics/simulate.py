@@ -8,7 +8,8 @@ A kinematic space has no dynamics: there a control is the velocity of each degre
 the positions along it, and only contacts are computed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
 from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.physics.guard import check_self_contained
+from planspace.physics.guard import COMPILE_ERRORS, check_self_contained
 from planspace.physics.space import StateSpace
 
 ASSETS = Path(__file__).parent.parent / "assets"
@@ -77,7 +78,7 @@ def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
             spec = mujoco.MjSpec.from_string(xml)
             _watch(spec, watched)
             model = spec.compile()
-    except ValueError as error:
+    except COMPILE_ERRORS as error:
         raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
@@ -93,6 +94,18 @@ def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
         sensor = spec.add_sensor(name=f"planspace_watch_{number}", type=mujoco.mjtSensor.mjSENS_CONTACT)
         sensor.objtype, sensor.objname, sensor.reftype, sensor.refname = geom, pair[0], geom, pair[1]
         sensor.intprm = found_once
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """What MuJoCo warns of is counted, and printed nowhere: physics that run away would fill the disk."""
+    before, silent = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    silent.logto_console = silent.logto_file = False
+    silent.set()
+    try:
+        yield
+    finally:
+        before.set()
 
 
 class Simulator:
@@ -150,12 +163,14 @@ class Simulator:
         stage = 0 if self.validity.forbidden_contacts == "none" else _POSITION_STAGE
         if not self.space.kinematic:
             self._ctrl[index] = clipped
-            self._batch.step(ids=ids, nstep=num_steps, stage=stage)
+            with quiet():
+                self._batch.step(ids=ids, nstep=num_steps, stage=stage)
             return
         moved = self.space.integrate(self.states()[index], clipped * num_steps * self.model.opt.timestep)
         self.reset(moved, ids)
         if stage:
-            self._batch.forward(ids=ids, stage=stage)
+            with quiet():
+                self._batch.forward(ids=ids, stage=stage)
 
     def states(self) -> Float[np.ndarray, "sim state"]:
         """The states of all simulations."""
@@ -184,13 +199,15 @@ class Simulator:
         ids = np.arange(len(states), dtype=np.int32)
         self.reset(states, ids)
         if self.validity.forbidden_contacts != "none":
-            self._batch.forward(ids=ids, stage=_POSITION_STAGE)
+            with quiet():
+                self._batch.forward(ids=ids, stage=_POSITION_STAGE)
         return self.allowed(len(states))
 
     def mujoco_data(self, sim: int) -> mujoco.MjData:
         """One simulation as an `MjData` with everything computed, for rendering."""
         data = self._batch.get_data(sim)
-        mujoco.mj_forward(self.model, data)
+        with quiet():
+            mujoco.mj_forward(self.model, data)
         return data
 
     def propagate(
@@ -249,7 +266,8 @@ def advance(
         space.write(space.integrate(before, control * num_steps * model.opt.timestep), data.qpos, data.qvel)
     else:
         data.ctrl[:] = control
-        mujoco.mj_step(model, data, nstep=num_steps)
+        with quiet():
+            mujoco.mj_step(model, data, nstep=num_steps)
     return space.read(data.qpos, data.qvel)
 
 

@@ -23,7 +23,7 @@ from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.plan.problem import Problem
 from planspace.progress import progress
-from planspace.store import append_row
+from planspace.store import append_row, read_bytes
 
 SHARD_EPISODES = 10
 """Plans a shard. A kill costs those since the last one; Ctrl-C and errors cost only plans under way."""
@@ -129,7 +129,7 @@ def _report_missing(folder: DemoFolder) -> None:
     missing = folder.next_index - folder.num_episodes
     if not missing:
         return
-    rows = (json.loads(line) for line in (folder.path / LOG).read_text().splitlines())
+    rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
     failures = [failure for row in rows for failure in row["failures"]]
     near = [failure for failure in failures if failure["nearest"] is not None]
     closest = min(near, key=lambda failure: failure["nearest"]) if near else None

@@ -1,6 +1,7 @@
 """Problem files: YAML, read strictly, and the layout of 2020."""
 
 import math
+import os
 import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -21,7 +22,13 @@ from planspace.store import read_bytes
 
 ReadModel = Callable[[Path, Sequence[str] | None], str]
 
-MAX_FILE_BYTES = 1 << 20
+MAX_FILE_BYTES = 1 << 17
+"""PyYAML takes seconds for so much, whatever it is."""
+MAX_TEXT = 4096
+"""Characters of a key or a value, no fewer than of a path; PyYAML takes long for long numbers with colons."""
+MAX_SETTING = 100_000
+"""Of a planner, in a file; whoever wants a longer search says so on the command line."""
+MERGE_TAG = "tag:yaml.org,2002:merge"
 MAX_SHOWN = 80
 """Characters of a value in a message."""
 TOLERANCE_2020 = 0.1
@@ -154,7 +161,7 @@ def _check_keys(path: Path, settings: dict[str, Any], known: set[str], required:
 def _beside(path: Path, name: str) -> Path:
     """A file named in a problem file, which must lie in its folder."""
     file = path.parent / name
-    if not file.resolve().is_relative_to(path.parent.resolve()):
+    if not Path(os.path.realpath(file)).is_relative_to(os.path.realpath(path.parent)):  # of a circle, too
         raise PlanspaceError(
             f"{path} refers to {name!r}, outside its folder; copy it beside the problem file."
         )
@@ -162,28 +169,38 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    data = read_bytes(path)
-    if len(data) > MAX_FILE_BYTES:
-        raise PlanspaceError(f"{path} has {len(data)} bytes; a problem file has at most {MAX_FILE_BYTES}.")
+    data = read_bytes(path, most=MAX_FILE_BYTES, may_be_link=True)
     try:
         settings = yaml.load(data, Loader=_StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise PlanspaceError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(settings, dict):
         raise PlanspaceError(f"{path} should hold keys and values, got a {type(settings).__name__}.")
+    if not all(isinstance(key, str) for key in settings):
+        raise PlanspaceError(f"{path} should hold keys that are names, got {_short(list(settings))}.")
     return settings
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """YAML's safe loader, which does not take a key twice."""
+    """YAML's safe loader, which takes no key twice, no keys of another mapping, and no endless text."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Refuses a key that came before."""
-        keys = [key.value for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} comes twice")
+        """Refuses a key that came before, and one that stands for others, which can be keys without end."""
+        keys: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.tag == MERGE_TAG:
+                raise yaml.constructor.ConstructorError(None, None, "a key is no plain text", key.start_mark)
+            if key.value in keys:
+                raise yaml.constructor.ConstructorError(None, None, f"the key {key.value!r} comes twice")
+            keys.add(key.value)
         return super().construct_mapping(node, deep)
+
+    def construct_scalar(self, node: yaml.ScalarNode | yaml.MappingNode) -> Any:
+        """Refuses a text that is too long, before a number is made of it."""
+        if len(node.value) > MAX_TEXT:
+            problem = f"a text of {len(node.value)} characters; {MAX_TEXT} may be"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return super().construct_scalar(node)
 
 
 def _check(problem: Problem, path: Path) -> None:
@@ -290,12 +307,15 @@ def _contacts(value: Any) -> Literal["none", "all"] | GeomPairs:
 def _settings(value: Any) -> tuple[tuple[str, Any], ...]:
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         raise TypeError(f"expected keys and values, got {_short(value)}")
+    for key, setting in value.items():
+        if not isinstance(setting, str) and not abs(_number(setting)) <= MAX_SETTING:
+            raise ValueError(f"{key} may be up to {MAX_SETTING}, got {_short(setting)}")
     return tuple(sorted(value.items()))
 
 
 def _cost(value: Any) -> Literal["duration", "effort"]:
-    if value not in ("duration", "effort"):
-        raise ValueError(str(unknown("cost", str(value)[:40], ["duration", "effort"])))
+    if _text(value) not in ("duration", "effort"):
+        raise ValueError(str(unknown("cost", value, ["duration", "effort"])))
     return value
 
 

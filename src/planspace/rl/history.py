@@ -1,12 +1,13 @@
 """A run's history: what is recorded of each iteration and seed. Needs neither JAX nor MuJoCo."""
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.store import Arrays, read_arrays
+from planspace.store import Arrays, read_arrays, refusing_nonsense
 
 HISTORY = "history.safetensors"
 HISTORY_KEYS = (
@@ -23,17 +24,26 @@ HISTORY_KEYS = (
 """What is recorded for each iteration and seed; see `episode_returns`, `UpdateInfo` and `Learner`."""
 EVALUATION = "eval_return"
 """Mean return of deterministic episodes, apart from training, at each of `TrainConfig.evaluations`."""
+LARGEST = 1e100
+"""No return is larger; beyond it, it would overflow where its square is taken, or where it is drawn."""
 
 
-def load_history(run: Path) -> Arrays:
+def load_history(run: Path, shape: tuple[int, int] | None = None) -> Arrays:
     """The history of a finished run, as `train` returns it.
+
+    Args:
+        run: its folder.
+        shape: how many iterations and seeds it must have, where that is known.
 
     Raises:
         PlanspaceError: there is none, or it is damaged.
     """
     if not (run / HISTORY).exists():
         raise PlanspaceError(f"{run} holds no finished training: it has no {HISTORY}.")
-    return read_arrays(run / HISTORY)
+    history = read_arrays(run / HISTORY)
+    with refusing_nonsense(run / HISTORY):
+        _check(history, shape or history["return"].shape)
+    return history
 
 
 def frozen_seeds(history: Arrays, seeds: Sequence[int]) -> str:
@@ -60,3 +70,23 @@ def without_nan(row: dict[str, list[float]]) -> dict[str, list[float | None]]:
 def scalars(row: dict[str, list[float]], seeds: Iterable[int]) -> dict[str, float]:
     """A row of the history by names that group in a viewer."""
     return {f"{key}/seed {seed}": numbers[i] for key, numbers in row.items() for i, seed in enumerate(seeds)}
+
+
+def _check(history: Arrays, shape: tuple[int, ...]) -> None:
+    """Sees that it is what `train` writes, of so many iterations and seeds."""
+    iterations, seeds = shape
+    evaluations = len(history["eval_steps"])
+    wanted = {"steps": (iterations,), "eval_steps": (evaluations,), EVALUATION: (evaluations, seeds)}
+    wanted |= dict.fromkeys(HISTORY_KEYS, shape)
+    for name, size in wanted.items():
+        array, kind = history[name], "i" if name in ("steps", "eval_steps") else "f"
+        if array.shape != size or array.dtype.kind != kind or not math.prod(size):
+            raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}")
+    returns, frozen = np.abs(history["return"]), history["frozen"]
+    if not np.isin(frozen, (0, 1)).all():
+        raise ValueError("frozen is neither 0 nor 1")
+    lost = ~np.isfinite(returns) & (frozen == 1)  # what froze a seed may be a return
+    if not ((returns < LARGEST) | lost).all():
+        raise ValueError("a return is not finite, or beyond all measure")
+    if not (np.diff(history["steps"]) > 0).all():
+        raise ValueError("its steps do not rise")

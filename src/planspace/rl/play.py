@@ -14,13 +14,15 @@ from planspace.tasks import find_task
 def make_env(policy: Policy) -> gymnasium.Env:
     """The environment a policy was trained in, z included."""
     about = policy.about
-    env = gymnasium.make(about["env_id"], obs=about["obs"], reward=about.get("reward", "dense"))
+    env_id = find_task(about["task"]).env_id  # not what a file says: Gymnasium imports what an id names
+    env = gymnasium.make(env_id, obs=about["obs"], reward=about.get("reward", "dense"))
     if about["z"] == "none":
         return env
     mode = "replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment"
     return PlanSpaceObservation(env, policy.embedding, mode)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # the policy sees whether its actions are finite
 def play(policy: Policy, num: int, seed: int) -> tuple[Float[np.ndarray, " episode"], Demos]:
     """Plays episodes, each action the policy's mean.
 
@@ -31,6 +33,9 @@ def play(policy: Policy, num: int, seed: int) -> tuple[Float[np.ndarray, " episo
 
     Returns:
         The return of each, and the episodes themselves.
+
+    Raises:
+        PlanspaceError: an action is not finite.
     """
     env, task = make_env(policy), find_task(policy.about["task"])
     model, space = task.compile()

@@ -8,12 +8,15 @@ RUN/embedding/             what makes z, for an arm that has it; of several, RUN
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.envs import ENVIRONMENTS
+from planspace.errors import PlanspaceError, UsageError, quoted
+from planspace.forms import OBS_FORMS, RewardForm
+from planspace.rl.config import ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Stack
 from planspace.store import (
@@ -29,6 +32,13 @@ SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
 MAX_OBS = 100_000
 """Numbers in an observation; a file that says more is not believed."""
+FORMS = {
+    "obs": OBS_FORMS,
+    "reward": get_args(RewardForm),
+    "z": get_args(ZMode),
+    "z_to": get_args(ZTarget),
+}
+"""What a description may say of how its environment was seen and paid."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +60,10 @@ class Policy:
     """What it reads of an observation."""
     statistics: ObsStatistics | None
     """What standardises observations."""
+    low: Float[np.ndarray, " action"]
+    """The least of each number of an action; -inf where the environment sets no limit."""
+    high: Float[np.ndarray, " action"]
+    """The greatest, likewise."""
 
     @property
     def embedding(self) -> Path:
@@ -60,7 +74,8 @@ class Policy:
         """The mean action, within the environment's range.
 
         Raises:
-            PlanspaceError: the observation has another number of columns than it was trained with.
+            PlanspaceError: the observation has another number of columns than it was trained with, or is so
+                large, or not finite, that there is no action.
         """
         if obs.shape[-1] != self.about["num_obs"]:
             raise PlanspaceError(
@@ -68,11 +83,17 @@ class Policy:
                 f"({self.about['env_id']}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
                 f"got {obs.shape[-1]}."
             )
-        rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)
-        rows = rows if self.statistics is None else self.statistics(rows)
-        actions = self.network(rows[..., self.columns])[0]
-        low, high = (np.asarray(self.about[key], np.float32) for key in ("action_low", "action_high"))
-        return np.clip(actions, low, high).reshape(*obs.shape[:-1], len(low)).astype(np.float32)
+        with np.errstate(all="ignore"):  # whether all is finite is seen below
+            rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)
+            rows = rows if self.statistics is None else self.statistics(rows)
+            actions = self.network(rows[..., self.columns])[0]
+        if not np.isfinite(actions).all():
+            raise PlanspaceError(
+                f"{self.run}: an action of seed {self.seed} is not finite; its weights, or what it observed, "
+                "are beyond all measure."
+            )
+        actions = np.clip(actions, self.low, self.high).astype(np.float32)
+        return actions.reshape(*obs.shape[:-1], len(self.low))
 
 
 def save_policies(run: Path, arrays: Arrays, about: dict[str, Any]) -> None:
@@ -103,6 +124,7 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
 
 
 def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) -> Policy:
+    _check_about(run / DESCRIPTION, about)
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
@@ -122,12 +144,44 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
     statistics = None
     if "num" in arrays:
         statistics = ObsStatistics(arrays["num"], arrays["mean"], arrays["squares"])
-    std = np.exp(arrays["log_std"][0])
-    policy = Policy(run, about, seeds[i], network, std, slice(*about["columns"]), statistics)
-    if not all(re.fullmatch(rf"{EMBEDDING}(-\d+)?", name) for name in about.get("embeddings", ())):
-        raise ValueError("it names an embedding outside its run")
-    if not 0 < about["num_obs"] <= MAX_OBS:
-        raise ValueError(f"it observes {about['num_obs']} numbers")
-    if policy(np.zeros((2, about["num_obs"]), np.float32)).shape != (2, len(std)):
+    with np.errstate(over="ignore"):
+        std = np.exp(arrays["log_std"][0])
+        low, high = _limits(about["action_low"], -np.inf), _limits(about["action_high"], np.inf)
+    columns = slice(*about["columns"])
+    policy = Policy(run, about, seeds[i], network, std, columns, statistics, low, high)
+    if not np.isfinite(std).all() or not (low < high).all():
+        raise ValueError("its actions have no deviation or no range")
+    tried = np.stack([np.zeros(about["num_obs"], np.float32), np.ones(about["num_obs"], np.float32)])
+    if policy(tried).shape != (2, len(std)):
         raise ValueError("its network has other sizes than it says")
     return policy
+
+
+def _check_about(file: Path, about: dict[str, Any]) -> None:
+    """Sees that it names nothing but what is ours: Gymnasium would import code for an environment's name."""
+    task, env_id = about["task"], about["env_id"]
+    if env_id not in ENVIRONMENTS or ENVIRONMENTS[env_id][0] != task:
+        raise PlanspaceError(
+            f"{file} names the environment {quoted(env_id)} for the task {quoted(task)}; planspace has none "
+            "such for it. Train the policy anew with `planspace train`, or upgrade planspace."
+        )
+    for name, known in FORMS.items():
+        if about.get(name, "dense" if name == "reward" else None) not in known:
+            raise ValueError(f"{name} is {quoted(about.get(name))}")
+    if not all(type(number) is int for number in (*about["seeds"], about["num_obs"])):
+        raise TypeError("its seeds, or how much it observes, are no whole numbers")
+    if not 0 < about["num_obs"] <= MAX_OBS:
+        raise ValueError(f"it observes {about['num_obs']} numbers")
+    embeddings = about.get("embeddings", ())
+    if not all(re.fullmatch(rf"{EMBEDDING}(-\d+)?", name) for name in embeddings):
+        raise ValueError("it names an embedding outside its run")
+    if about["z"] != "none" and len(embeddings) != len(about["seeds"]):
+        raise ValueError("it does not name an embedding for each seed")
+
+
+def _limits(numbers: list[float | None], unlimited: float) -> Float[np.ndarray, " action"]:
+    """The limits of an action on one side; JSON has no infinity, and says null."""
+    limits = np.array([unlimited if x is None else x for x in numbers], np.float32)
+    if not all(x is None or np.isfinite(limit) for x, limit in zip(numbers, limits, strict=True)):
+        raise ValueError("a limit of its actions is not finite")
+    return limits

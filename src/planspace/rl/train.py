@@ -22,7 +22,15 @@ from planspace.errors import UsageError
 from planspace.progress import progress
 from planspace.rl.advantage import discounted_returns, gae
 from planspace.rl.config import BATCH_STEPS, TrainConfig
-from planspace.rl.history import EVALUATION, HISTORY, HISTORY_KEYS, scalars, with_row, without_nan
+from planspace.rl.history import (
+    EVALUATION,
+    HISTORY,
+    HISTORY_KEYS,
+    load_history,
+    scalars,
+    with_row,
+    without_nan,
+)
 from planspace.rl.learner import Learner, learn, make_learner, values
 from planspace.rl.mlp import stacked_layers
 from planspace.rl.normalise import ObsStatistics
@@ -30,7 +38,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.rl.shaping import Shaping
-from planspace.store import Arrays, append_row, open_run, read_arrays, write_arrays
+from planspace.store import Arrays, append_row, open_run, write_arrays
 from planspace.tasks import Task, find_reward_form, find_task
 from planspace.track import TrackerName, open_trackers
 
@@ -107,7 +115,7 @@ def train(
     shaping = Shaping.of(config, dealt)
     open_run(out, _settings(config, given))
     if (out / HISTORY).exists():
-        return read_arrays(out / HISTORY)
+        return load_history(out, (config.iterations, config.num_seeds))
     batch = TaskBatch(task, config.num_seeds * num_episodes(task), reward=config.reward)
     with ThreadPoolExecutor(min(count_cores(), config.num_seeds)) as threads:
         arm = _Arm(config, observer, batch, threads, shaping)
@@ -286,11 +294,15 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
         "num_obs": observer.num_obs,
         "columns": [columns.start, columns.stop],
         "layer_norm": networks[0].layer_norm,
-        "action_low": arm.batch.simulator.control_low.tolist(),
-        "action_high": arm.batch.simulator.control_high.tolist(),
         "seeds": list(config.seeds),
         "embeddings": [folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
-        **without_nan({"returns": state.history[EVALUATION][-1].tolist()}),
+        **without_nan(
+            {
+                "action_low": arm.batch.simulator.control_low.tolist(),
+                "action_high": arm.batch.simulator.control_high.tolist(),
+                "returns": state.history[EVALUATION][-1].tolist(),
+            }
+        ),
         "versions": {"planspace": planspace.__version__},
     }
     save_policies(out, arrays, about)

@@ -123,10 +123,20 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
 
 
 def rebuild(out: Path) -> dict[str, Any]:
-    """Writes the report of a finished run anew, from what its folder holds."""
+    """Writes the report of a finished run anew, from what its folder holds.
+
+    Raises:
+        PlanspaceError: it is no run, its settings are not whole, or as `run` does.
+    """
     config = read_json(out / CONFIG)
     if config.get("command") != "run":
         raise PlanspaceError(f"{out} is not the folder of a `planspace run`.")
+    kinds = {"task": str, "budget": str, "seed": int}
+    if missing := [name for name, kind in kinds.items() if type(config.get(name)) is not kind]:
+        raise PlanspaceError(
+            f"{out / CONFIG} does not say the run's {missing[0]}; restore it from a copy, or run anew "
+            "elsewhere."
+        )
     return run(config["task"], config["budget"], out, config["seed"])
 
 

@@ -1,0 +1,78 @@
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace.cli import main
+from planspace.errors import PlanspaceError
+from planspace.repair import repair
+from planspace.rl.config import TrainConfig
+from planspace.rl.history import load_history
+from planspace.rl.train import train
+from planspace.store import Arrays, read_arrays, write_arrays
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
+LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {
+    "no returns": (lambda a: a.pop("return"), "KeyError: 'return'"),
+    "no losses": (lambda a: a.pop("loss"), "KeyError: 'loss'"),
+    "no steps": (lambda a: a.pop("steps"), "KeyError: 'steps'"),
+    "no axis of seeds": (lambda a: a.update({"return": a["return"][:, 0].copy()}), "not enough values"),
+    "one number": (lambda a: a.update(eval_steps=np.array(1)), "unsized"),
+    "seeds that differ": (lambda a: a.update(frozen=a["frozen"][:, :1].copy()), r"frozen has shape \(2, 1\)"),
+    "too few steps": (lambda a: a.update(steps=a["steps"][:1].copy()), r"steps has shape \(1,\)"),
+    "nothing": (lambda a: a.update({k: v[:0].copy() for k, v in a.items()}), r"steps has shape \(0,\)"),
+    "truths": (lambda a: a.update({"return": a["return"] > 0}), "return has .*bool"),
+    "broken steps": (lambda a: a.update(steps=a["steps"] / 2), "steps has .*float64"),
+    "steps that turn back": (lambda a: a.update(steps=a["steps"][::-1].copy()), "steps do not rise"),
+    "no number": (lambda a: a["return"].fill(np.nan), "return is not finite"),
+    "too large a number": (lambda a: a["return"].fill(1e308), "return is not finite, or beyond"),
+    "too large for a frozen seed, too": (
+        lambda a: (a["return"].fill(1e308), a["frozen"].fill(1)),
+        "return is not finite, or beyond",
+    ),
+    "frozen or not": (lambda a: a["frozen"].fill(np.nan), "frozen is neither 0 nor 1"),
+}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return shutil.copytree(GOLDEN, tmp_path / "run")
+
+
+def alter(run: Path, change: Callable[[Arrays], object]) -> None:
+    """As a stranger can: the file's checksum is made anew."""
+    arrays = {name: array.copy() for name, array in read_arrays(run / "history.safetensors").items()}
+    change(arrays)
+    write_arrays(run / "history.safetensors", arrays)
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_history_that_is_none_is_one_line(
+    lie: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, message = LIES[lie]
+    assert load_history(run)["return"].shape == (2, 2)
+    alter(run, change)
+    with pytest.raises(PlanspaceError, match=rf"history.safetensors was altered .*{message}"):
+        load_history(run)
+    assert main(["curves", str(run), "--out", str(tmp_path / "curves")]) == 1
+    err = capsys.readouterr().err
+    assert "history.safetensors was altered" in err and len(err.splitlines()) == 1
+    (line,) = repair(run)
+    assert "history.safetensors was altered" in line and not (run / "history.safetensors").exists()
+
+
+def test_what_need_not_be_finite_is_drawn_all_the_same(run: Path, tmp_path: Path) -> None:
+    alter(run, lambda a: [a[name].fill(np.nan) for name in ("explained_variance", "kl", "eval_return")])
+    alter(run, lambda a: (a["return"][1].fill(np.inf), a["frozen"][1].fill(1)))  # both seeds came upon it
+    assert main(["curves", str(run), "--out", str(tmp_path / "curves")]) == 0
+
+
+def test_a_finished_training_has_the_history_of_its_own_settings(tmp_path: Path) -> None:
+    config = TrainConfig("cartpole", num_seeds=1, steps=1)
+    train(config, tmp_path)
+    shutil.copy(GOLDEN / "history.safetensors", tmp_path)  # of two seeds and two iterations
+    with pytest.raises(PlanspaceError, match=r"history.safetensors was altered .*has shape \(2,"):
+        train(config, tmp_path)
