@@ -108,6 +108,18 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
         read_model(write(tmp_path, '<robot><link name="l"><mesh filename="/etc/m.obj"/></link></robot>'))
 
 
+FLEX = '<body name="b"><flexcomp name="f" count="3 3 3" dim="3" spacing="1 1 1"/></body>'
+
+
+def test_what_mujoco_says_while_it_compiles_is_printed_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = f"<mujoco><option gravity='0 0 nan'/><worldbody>{FLEX}</worldbody></mujoco>"
+    load_model(read_model(write(tmp_path, text)))
+    assert capfd.readouterr() == ("", "") and not Path("MUJOCO_LOG.TXT").exists()
+
+
 def test_keyframes_do_not_stop_a_joint_from_being_held(tmp_path: Path) -> None:
     keyed = TWO_JOINTS.replace("</mujoco>", '<keyframe><key qpos="1 2" ctrl="0 0"/></keyframe></mujoco>')
     assert load_model(read_model(write(tmp_path, keyed), ("a",))).nq == 1

@@ -86,13 +86,19 @@ def test_divergence_is_seen_and_does_not_reset_the_state() -> None:
     assert simulator.diverged().tolist() == [False, True]  # a reset clears its own warnings alone
 
 
-RUNAWAY = """<mujoco><option timestep="1e6"/><worldbody><body>
+LEVER = """<mujoco><worldbody><body>
   <joint name="j" type="hinge" axis="0 1 0"/><geom size="0.1" pos="0 0 1"/></body></worldbody>
   <actuator><motor joint="j" ctrlrange="-1 1"/></actuator></mujoco>"""
 
 
+def runaway() -> mujoco.MjModel:
+    model = load_model(LEVER)
+    model.opt.timestep = 1e6
+    return model
+
+
 def test_what_mujoco_warns_of_makes_an_edge_invalid_by_itself() -> None:
-    model = load_model(RUNAWAY)
+    model = runaway()
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # it comes back as if all was well
     space = replace(StateSpace.from_model(model, ["j"]), velocity_bound=np.array([np.inf]))
     simulator = Simulator(model, space, 4, threads=1)
@@ -105,7 +111,7 @@ def test_physics_that_run_away_write_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    model = load_model(RUNAWAY)
+    model = runaway()
     space, data = StateSpace.from_model(model, ["j"]), mujoco.MjData(model)
     simulator = Simulator(model, space, 4)
     for _ in range(20):
@@ -118,6 +124,18 @@ def test_physics_that_run_away_write_nothing(
     data.ctrl[:] = 1.0
     mujoco.mj_step(model, data, nstep=20)  # whoever steps by himself is warned as ever
     assert "WARNING" in capfd.readouterr().err and (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_a_model_with_too_little_memory_is_an_error_of_ours() -> None:
+    boxes = 30 * '<geom type="box" size="1 1 1"/>'
+    model = load_model(f"""<mujoco><size memory="20K"/><worldbody><geom type="plane" size="1 1 1"/>
+      <body><freejoint/>{boxes}</body><body pos="5 5 1"><joint name="j"/><geom size="0.1"/></body>
+    </worldbody></mujoco>""")
+    space, data = StateSpace.from_model(model, ["j"]), mujoco.MjData(model)
+    with pytest.raises(PlanspaceError, match="MuJoCo cannot simulate the model: .*out of memory"):
+        Simulator(model, space, 2).step(np.zeros((2, 0)))
+    with pytest.raises(PlanspaceError, match="MuJoCo cannot simulate the model: .*out of memory"):
+        advance(model, data, space, np.zeros(0))
 
 
 def test_a_model_that_does_not_compile_says_what_mujoco_said() -> None:

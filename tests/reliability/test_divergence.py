@@ -1,8 +1,8 @@
 """A model whose time step is far too long: its physics run away, and nobody takes that for a state."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -13,49 +13,73 @@ from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors, validate
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import ASSETS
+from planspace.physics.simulate import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
+from planspace.plan.problem import Problem
 from planspace.plan.problem_file import load_problem
 from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
+from planspace.rl.rollout import Rollout
 from planspace.store import read_arrays
 from planspace.tasks import Task, find_task
 
 LONG_STEP_S = 1e6
 
 
-def with_long_step(xml: str) -> str:
-    """The model with a time step that no integrator bears."""
-    changed = xml.replace('timestep="', f'timestep="{LONG_STEP_S}" was="')
-    start = changed.index(' was="')
-    end = changed.index('"', start + 6) + 1
-    return changed[:start] + changed[end:]
+def test_the_planner_takes_no_edge_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`test_simulate` has an edge that only MuJoCo's warning tells from a sound one."""
+    compile_problem, propagate, edges = Problem.compile, Simulator.propagate, []
 
+    def compile_wild(problem: Problem) -> tuple[mujoco.MjModel, StateSpace]:
+        model, space = compile_problem(problem)
+        model.opt.timestep = LONG_STEP_S
+        return model, space
 
-def test_the_planner_finds_nothing_in_it(tmp_path: Path) -> None:
-    for file in ASSETS.glob("*.xml"):
-        shutil.copy(file, tmp_path)
-    problem_file = shutil.copy(ASSETS / "cartpole-swingup.yaml", tmp_path)
-    model = tmp_path / "cartpole.xml"
-    model.write_text(with_long_step(model.read_text()))
-    problem = load_problem(str(problem_file))
+    def watched(self: Simulator, *edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        ends, valid = propagate(self, *edge)
+        edges.append(valid)
+        return ends, valid
+
+    problem = replace(load_problem("cartpole-swingup"), name="wild")  # the planner is kept for a problem
     config = PlannerConfig.for_problem(problem, restarts=1, sst_max_rounds=5, sst_min_rounds=1)
+    monkeypatch.setattr(Problem, "compile", compile_wild)
+    monkeypatch.setattr(Simulator, "propagate", watched)
     with pytest.raises(PlanspaceError, match="found no way to the goal"):
         generate(problem, tmp_path / "demos", num=1, seed=0, config=config, workers=0)
     with pytest.raises(PlanspaceError, match="holds no demonstrations"):
         load_demos(tmp_path / "demos")
+    assert sum(map(len, edges)) > 100 and not np.concatenate(edges).any()
 
 
 def test_a_dataset_that_does_not_replay_is_refused(demos: Demos, tmp_path: Path) -> None:
-    info = replace(demos.info, mjcf=with_long_step(demos.info.mjcf))
-    wild = replace(demos, info=info, times=demos.times * LONG_STEP_S / demos.times[1])
-    DemoFolder(tmp_path, info, {}).append([wild.episode(i) for i in range(len(wild))], len(wild))
+    def stretched(step: float) -> Demos:
+        return replace(demos, times=demos.times * step / demos.times[1])
+
+    wild = stretched(1999.007)  # no multiple of the model's step, so that it is one step
+    DemoFolder(tmp_path, wild.info, {}).append([wild.episode(i) for i in range(len(wild))], len(wild))
     with np.errstate(all="ignore"):
         assert not (replay_errors(wild) < 1.0).any()
         with pytest.raises(PlanspaceError, match="misses its states"):
             validate(tmp_path, replay_controls=True)
+    with pytest.raises(PlanspaceError, match="two states lie 1e\\+06 s apart, more than 100000 steps"):
+        replay_errors(stretched(1e6))  # which would be as many steps
+
+
+@pytest.mark.parametrize(
+    ("array", "number"), [("states", 1e308), ("controls", -1e11), ("goals", np.inf), ("costs", -np.inf)]
+)
+def test_numbers_that_no_robot_has_are_found(array: str, number: float, demos: Demos, tmp_path: Path) -> None:
+    sound = replace(demos, costs=np.full(len(demos), np.nan), goals=np.full_like(demos.goals, np.nan))
+    for name, given in (("sound", sound), ("wild", replace(sound, **{array: getattr(sound, array).copy()}))):
+        if name == "wild":
+            getattr(given, array)[-1] = number
+        folder = DemoFolder(tmp_path / name, demos.info, {})
+        folder.append([given.episode(i) for i in range(len(demos))], len(demos))
+    assert validate(tmp_path / "sound", replay_controls=False)["demonstrations"] == len(demos)
+    with pytest.raises(PlanspaceError, match=f"demonstration {len(demos) - 1} holds a {array[:-1]} with"):
+        validate(tmp_path / "wild", replay_controls=False)
 
 
 @pytest.fixture
@@ -74,7 +98,16 @@ def wild_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("wild_tasks")
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])
 def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    collect = training.collect
+
+    def collect_finite(*arguments: Any, **options: Any) -> Rollout:
+        rollout = collect(*arguments, **options)
+        for array in vars(rollout).values():
+            assert np.isfinite(array).all()
+        return rollout
+
     monkeypatch.setattr(training, "BATCH_STEPS", 1000)
+    monkeypatch.setattr(training, "collect", collect_finite)
     config = TrainConfig("cartpole-swingup", algo, num_seeds=2, steps=2 * BATCH_STEPS)
     history = training.train(config, tmp_path)
     assert np.isfinite(history["return"]).all() and not history["frozen"].any()

@@ -15,6 +15,8 @@ from planspace.progress import shown
 
 REPLAY_TOLERANCE = 1e-6
 """Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
+LARGEST_NUMBER = 1e10
+"""MuJoCo takes a state beyond for one that ran away (its mjMAXVAL)."""
 
 
 def describe(folder: Path) -> dict[str, Any]:
@@ -43,7 +45,7 @@ def describe(folder: Path) -> dict[str, Any]:
 
 
 def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) -> dict[str, Any]:
-    """Verifies hashes, finite numbers, rising times, and on request that the controls replay.
+    """Verifies hashes, numbers that a robot can have, rising times, and on request that the controls replay.
 
     Args:
         folder: the dataset's.
@@ -58,11 +60,25 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
         compile_apart(demos.info.mjcf)
     worst = 0.0
     for first, part in shown(_parts(demos), "validate", unit="shard"):
+        _check_numbers(part, first, folder)
         _check_times(part, first, folder)
         if replay_controls:
             worst = max(worst, _check_replay(part, first, folder))
     found: dict[str, Any] = {"demonstrations": len(demos), "hash": demos.hash}
     return found | ({"replay_error": worst} if replay_controls else {})
+
+
+def _check_numbers(part: Demos, first: int, folder: Path) -> None:
+    for i in range(len(part)):
+        e = part.episode(i)
+        numbers = {"state": e.states, "control": e.controls, "goal": e.goal, "cost": np.array([e.cost])}
+        for name, values in numbers.items():
+            large = values[np.abs(values) > LARGEST_NUMBER]  # not NaN: of a goal or a cost nothing is known
+            if len(large):
+                raise PlanspaceError(
+                    f"{folder}: demonstration {first + i} holds a {name} with the number {large[0]:.3g}; no "
+                    f"robot's is beyond {LARGEST_NUMBER:.0e}."
+                )
 
 
 def _check_times(part: Demos, first: int, folder: Path) -> None:

@@ -13,7 +13,8 @@ from planspace.errors import PlanspaceError
 
 MAX_DEPTH = 200
 """Elements within elements."""
-PARTS, POINTS, LINKS, CELLS, NUMBERS = "parts, multiplied", "points of flexible bodies", "links", "cells", "numbers"
+PARTS, POINTS, LINKS = "parts, multiplied", "points of flexible bodies", "links of composite bodies"
+CELLS, NUMBERS = "cells", "numbers"
 MOST = {
     PARTS: 5_000,  # by replicate; time grows with their square, to 5 s
     POINTS: 5_000,  # likewise, to 3 s
@@ -22,6 +23,17 @@ MOST = {
     NUMBERS: 1_000_000,  # of all other kinds, most of which every simulation has
 }
 """What a whole model may ask for of each kind."""
+COUNTS = ("num", "dim", "actdim", "nsample", "nuserdata")
+"""Attributes that are numbers of numbers, of whatever element; a numeric's is called size."""
+INHERITED = {*COUNTS, "width", "height", "resolution"}
+"""What an element may take from a default."""
+AREAS = {
+    "hfield": ("nrow", "ncol"),
+    "camera": ("resolution",),
+    "global": ("offwidth", "offheight"),
+    "quality": ("shadowsize", "shadowsize"),
+}
+"""Attributes that are the sides of an area."""
 CELLS_A_POINT = 200
 """Of a mesh made by MuJoCo: its hull takes 1.5 kB a point."""
 LIMITS = {
@@ -86,57 +98,47 @@ def check_demands(root: ElementTree.Element, where: str) -> None:
 
 
 class _Model:
-    """What the elements of a model ask for, each by itself, with the largest default where it says nothing."""
+    """What each element of a model asks for; where it does not say, by the largest default."""
 
     def __init__(self, root: ElementTree.Element, where: str):
         self._where = where
         self._defaults: dict[str, str] = {}
         for default in root.iter("default"):
             for name, text in ((n, t) for element in default.iter() for n, t in element.attrib.items()):
-                if SIZE_NAMES.search(name) and self._size(text) >= self._size(self._defaults.get(name)):
+                if name in INHERITED and self._size(text) >= self._size(self._defaults.get(name)):
                     self._defaults[name] = text
-        self._view = max((self._size(self._get(c, "resolution")) for c in root.iter("camera")), default=0.0)
+        self._view = max((self._get(camera, "resolution") for camera in root.iter("camera")), default=0.0)
 
     def asked(self, element: ElementTree.Element) -> Iterator[tuple[str, float]]:
         """Kinds and numbers."""
-        size, get = self._size, self._get
-        for name in ("num", "dim", "actdim", "nsample", "nuserdata"):
-            yield NUMBERS, size(get(element, name))
-        match element.tag:
-            case "replicate":
-                pass  # multiplies what is in it
-            case "composite":
-                yield LINKS, size(element.get("count"))
-            case "flexcomp":
-                yield POINTS, self._points(element)
-                yield POINTS, size(element.get("cellcount"))
-            case "texture":
-                width, height = size(get(element, "width")), size(get(element, "height"))
-                flat = element.get("type", "cube") == "2d"
-                yield CELLS, width * (height if flat else max(height, 6 * width))  # a cube has six sides
-            case "hfield":
-                yield CELLS, size(element.get("nrow")) * size(element.get("ncol"))
-            case "camera":
-                yield CELLS, size(get(element, "resolution"))
-            case "global":
-                yield CELLS, size(element.get("offwidth")) * size(element.get("offheight"))
-            case "quality":
-                yield CELLS, size(element.get("shadowsize")) ** 2
-            case "mesh" if "params" in element.attrib:
-                side = max((size(n) for n in element.attrib["params"].split()), default=0.0)
-                yield CELLS, CELLS_A_POINT * side**2
-            case "numeric":
-                yield NUMBERS, size(element.get("size"))
-            case "rangefinder" if "camera" in element.attrib:
-                yield NUMBERS, self._view * max(1, len(element.get("data", "").split()))
+        tag, get = element.tag, self._get
+        for name in COUNTS:
+            yield NUMBERS, get(element, name)
+        if tag in AREAS:
+            yield CELLS, math.prod(get(element, name) for name in AREAS[tag])
+        if tag == "texture":
+            width, height = get(element, "width"), get(element, "height")
+            flat = element.get("type", "cube") == "2d"
+            yield CELLS, width * (height if flat else max(height, 6 * width))  # a cube has six sides
+        elif tag == "mesh":
+            side = max(map(self._size, element.get("params", "0").split()), default=0.0)
+            yield CELLS, CELLS_A_POINT * side**2
+        elif tag == "composite":
+            yield LINKS, self._size(element.get("count"))
+        elif tag == "flexcomp":
+            yield POINTS, self._points(element) + self._size(element.get("cellcount"))
+        elif tag == "numeric":
+            yield NUMBERS, self._size(element.get("size"))
+        elif tag == "rangefinder" and "camera" in element.attrib:
+            yield NUMBERS, self._view * max(1, len(element.get("data", "").split()))
 
     def _points(self, element: ElementTree.Element) -> float:
         if element.get("type", "grid") in WRITTEN_OUT:
             return len(element.get("point", "").split()) / 3
-        return self._size(element.get("count", "10 10 10"))
+        return self._size(element.get("count")) or 10.0**3  # MuJoCo's default
 
-    def _get(self, element: ElementTree.Element, name: str) -> str | None:
-        return element.get(name, self._defaults.get(name))
+    def _get(self, element: ElementTree.Element, name: str) -> float:
+        return self._size(element.get(name)) or self._size(self._defaults.get(name))
 
     def _size(self, text: str | None) -> float:
         return _product(text, self._where)
@@ -160,7 +162,9 @@ def _check_limits(element: ElementTree.Element, where: str) -> None:
                 f"s and at most {most:g} s."
             )
     if tag == "lengthrange":
-        total, step = (_number(element.get(n, d), where) for n, d in (("inttotal", "10"), ("timestep", ".01")))
+        total, step = (
+            _number(element.get(n, d), where) for n, d in (("inttotal", "10"), ("timestep", ".01"))
+        )
         if not (step > 0 and total / step <= MAX_LENGTH_STEPS):
             raise PlanspaceError(f"{where} has a lengthrange of more than {MAX_LENGTH_STEPS} steps.")
 
@@ -172,7 +176,7 @@ def _multiplied(
     if depth > MAX_DEPTH:
         raise PlanspaceError(f"{where} has elements more than {MAX_DEPTH} deep.")
     if element.tag == "replicate":
-        times *= _product(element.get("count", "1"), where)
+        times *= max(1.0, _product(element.get("count"), where))
     yield element, times
     for child in element:
         yield from _multiplied(child, times, where, depth + 1)

@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, unknown
-from planspace.physics.guard import COMPILE_ERRORS, FILE_ATTRIBUTES, check_asset, parse_model
+from planspace.physics.demands import check_demands
+from planspace.physics.guard import FILE_ATTRIBUTES, check_assets, parse_model
+from planspace.physics.simulate import MUJOCO_ERRORS, compiling
 from planspace.store import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
@@ -29,28 +31,28 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
     """
     text = read_text(path)
     files = _referred_files(path)
-    for file in files:
-        if file.exists():  # of the places where it may lie
-            check_asset(file)
+    check_assets((file for file in files if file.exists()), str(path))  # of the places where one may lie
     try:
-        spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
-        known = [joint.name for joint in spec.joints]
-        for name in joints or ():
-            if name not in known:
-                raise unknown("joint", name, known)
-        held = [name for name in known if joints is not None and name not in joints]
-        if not files and not held:
-            spec.compile()
-            return text
-        _take_in_files(spec)
-    except COMPILE_ERRORS as error:
+        with compiling():
+            spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
+            known = [joint.name for joint in spec.joints]
+            for name in joints or ():
+                if name not in known:
+                    raise unknown("joint", name, known)
+            held = [name for name in known if joints is not None and name not in joints]
+            if not files and not held:
+                spec.compile()
+                return text
+            _take_in_files(spec)
+    except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
     try:
-        for name in held:
-            _hold(spec, name)
-        spec.compile()
-        return spec.to_xml()
-    except COMPILE_ERRORS as error:
+        with compiling():
+            for name in held:
+                _hold(spec, name)
+            spec.compile()
+            return spec.to_xml()
+    except MUJOCO_ERRORS as error:
         raise PlanspaceError(
             f"{path}: the joints {', '.join(held)} cannot be held: {' '.join(str(error).split())}. Plan for "
             "them too, or take out of the model what refers to them."
@@ -63,11 +65,8 @@ def read_text(path: Path) -> str:
     Raises:
         PlanspaceError: missing, too large, or no text.
     """
-    data = read_bytes(path)
-    if len(data) > MAX_MODEL_BYTES:
-        raise PlanspaceError(f"{path} has {len(data)} bytes; a model file has at most {MAX_MODEL_BYTES}.")
     try:
-        return data.decode()
+        return read_bytes(path, most=MAX_MODEL_BYTES, may_be_link=True).decode()
     except UnicodeDecodeError as error:
         raise PlanspaceError(f"{path} is no text: {error}.") from error
 
@@ -80,7 +79,7 @@ def _referred_files(path: Path) -> list[Path]:
     """
     folder = path.parent.resolve()
     roots = {path.resolve(): _root(path)}
-    waiting = [(path, roots[path.resolve()])]
+    waiting, included_by = [(path, roots[path.resolve()])], []
     while waiting:
         file, root = waiting.pop()
         for element in root.iter("include"):
@@ -89,6 +88,7 @@ def _referred_files(path: Path) -> list[Path]:
             if included in roots:
                 raise PlanspaceError(f"{file} includes {name!r} twice, or in a circle.")
             roots[included] = _root(included)
+            included_by.append((element, roots[included]))
             waiting.append((included, roots[included]))
     # MuJoCo takes asset folders from any file's compiler element for all of them
     compilers = [element.attrib for root in roots.values() for element in root.iter("compiler")]
@@ -107,6 +107,9 @@ def _referred_files(path: Path) -> list[Path]:
                 key = {"mesh": "meshdir", "texture": "texturedir"}[element.tag]
                 places = {""} | {c.get(k, "") for c in compilers for k in (key, "assetdir")}
                 referred += [_inside(file, folder, place, name) for place in sorted(places)]
+    for element, root in included_by:
+        element.extend(root)
+    check_demands(roots[path.resolve()], str(path))  # of all files together
     return referred
 
 

@@ -8,6 +8,7 @@ A kinematic space has no dynamics: there a control is the velocity of each degre
 the positions along it, and only contacts are computed.
 """
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
 from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.physics.guard import COMPILE_ERRORS, check_self_contained
+from planspace.physics.guard import check_self_contained
 from planspace.physics.space import StateSpace
 
 ASSETS = Path(__file__).parent.parent / "assets"
@@ -33,7 +34,13 @@ _WARNINGS = [
 ]
 
 
+MUJOCO_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
+"""What MuJoCo raises at a model that it does not take."""
+
 _POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_POS)
+
+MAX_REPEATS = 100_000
+"""Steps between two recorded states."""
 
 GeomPairs = tuple[tuple[str, str], ...]
 
@@ -72,13 +79,14 @@ def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
     """
     check_self_contained(xml)
     try:
-        if not watched:
-            model = mujoco.MjModel.from_xml_string(xml)
-        else:
-            spec = mujoco.MjSpec.from_string(xml)
-            _watch(spec, watched)
-            model = spec.compile()
-    except COMPILE_ERRORS as error:
+        with compiling():
+            if not watched:
+                model = mujoco.MjModel.from_xml_string(xml)
+            else:
+                spec = mujoco.MjSpec.from_string(xml)
+                _watch(spec, watched)
+                model = spec.compile()
+    except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
@@ -94,6 +102,30 @@ def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
         sensor = spec.add_sensor(name=f"planspace_watch_{number}", type=mujoco.mjtSensor.mjSENS_CONTACT)
         sensor.objtype, sensor.objname, sensor.reftype, sensor.refname = geom, pair[0], geom, pair[1]
         sensor.intprm = found_once
+
+
+@contextmanager
+def stepping() -> Iterator[None]:
+    """As `quiet`; where MuJoCo cannot go on, that is an error of ours.
+
+    Raises:
+        PlanspaceError: it has not enough memory for the model, or gives up for another reason.
+    """
+    with quiet():
+        try:
+            yield
+        except (RuntimeError, MemoryError, mujoco.FatalError) as error:
+            raise PlanspaceError(
+                f"MuJoCo cannot simulate the model: {' '.join(str(error).split())}"
+            ) from error
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """As `quiet`; MuJoCo's compiler warns by way of Python, too, in lines that quote the model's names."""
+    with quiet(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 @contextmanager
@@ -136,7 +168,8 @@ class Simulator:
             raise UsageError("the model's actuators have activations, a state that is not planned for.")
         self.model, self.space, self.num, self.validity = model, space, num, validity
         self.threads = threads
-        self._batch = Batch(model, num, threads)
+        with stepping():
+            self._batch = Batch(model, num, threads)
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
@@ -163,13 +196,13 @@ class Simulator:
         stage = 0 if self.validity.forbidden_contacts == "none" else _POSITION_STAGE
         if not self.space.kinematic:
             self._ctrl[index] = clipped
-            with quiet():
+            with stepping():
                 self._batch.step(ids=ids, nstep=num_steps, stage=stage)
             return
         moved = self.space.integrate(self.states()[index], clipped * num_steps * self.model.opt.timestep)
         self.reset(moved, ids)
         if stage:
-            with quiet():
+            with stepping():
                 self._batch.forward(ids=ids, stage=stage)
 
     def states(self) -> Float[np.ndarray, "sim state"]:
@@ -199,14 +232,14 @@ class Simulator:
         ids = np.arange(len(states), dtype=np.int32)
         self.reset(states, ids)
         if self.validity.forbidden_contacts != "none":
-            with quiet():
+            with stepping():
                 self._batch.forward(ids=ids, stage=_POSITION_STAGE)
         return self.allowed(len(states))
 
     def mujoco_data(self, sim: int) -> mujoco.MjData:
         """One simulation as an `MjData` with everything computed, for rendering."""
         data = self._batch.get_data(sim)
-        with quiet():
+        with stepping():
             mujoco.mj_forward(self.model, data)
         return data
 
@@ -266,7 +299,7 @@ def advance(
         space.write(space.integrate(before, control * num_steps * model.opt.timestep), data.qpos, data.qvel)
     else:
         data.ctrl[:] = control
-        with quiet():
+        with stepping():
             mujoco.mj_step(model, data, nstep=num_steps)
     return space.read(data.qpos, data.qvel)
 
@@ -290,6 +323,9 @@ def replay(
 
     Returns:
         The state at each time.
+
+    Raises:
+        PlanspaceError: an interval is more steps than anyone would have left out, or MuJoCo cannot go on.
     """
     data = mujoco.MjData(model)
     space.write(start, data.qpos, data.qvel)
@@ -297,6 +333,10 @@ def replay(
     own_step = model.opt.timestep
     try:
         for control, interval in zip(controls, np.diff(times), strict=True):
+            if not interval <= MAX_REPEATS * own_step:
+                raise PlanspaceError(
+                    f"two states lie {interval:.3g} s apart, more than {MAX_REPEATS} steps of the model."
+                )
             repeats = round(interval / own_step)
             whole = repeats >= 1 and abs(interval - repeats * own_step) < 1e-3 * own_step
             model.opt.timestep = own_step if whole else interval
