@@ -432,7 +432,7 @@ MODELS = {
     "plugin alone": ("<worldbody><body><plugin/></body></worldbody>", "does not take such models"),
     "copies of copies": (f"<worldbody>{NESTED}</worldbody>", "parts, multiplied"),
     "a body of points": (f"<worldbody>{FLEX}</worldbody>", "points of flexible"),
-    "infinitely many": ('<worldbody><replicate count="inf"/></worldbody>', "where a number belongs"),
+    "infinitely many": ('<worldbody><replicate count="inf"/></worldbody>', "too much"),
     "deep": (f"<worldbody>{DEEP_BODIES}</worldbody>", "deep"),
     "a picture of any size": (
         '<asset><texture builtin="flat" width="900000" height="900000"/></asset>',
@@ -481,7 +481,7 @@ MODELS = {
         "numbers",
     ),
     "a user's numbers for every part": (
-        f'<worldbody><replicate count="1000"><geom user="{"1 " * 900}"/></replicate></worldbody>',
+        f'<worldbody><replicate count="2000"><geom user="{"1 " * 900}"/></replicate></worldbody>',
         "numbers",
     ),
     "keys without end": ('<size nkey="1000000"/>', "nkey"),
@@ -609,6 +609,13 @@ def test_a_model_that_crashes_mujoco_is_not_taken(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(PlanspaceError, match="does not compile within .* or crashes MuJoCo"):
         compile_apart("<mujoco/>")
+
+
+def test_a_model_that_takes_all_day_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "CPU_S", 2)
+    crowd = '<replicate count="4900" offset="1 0 0"><geom name="g" size="0.1"/></replicate>'  # 5 s
+    with pytest.raises(PlanspaceError, match="does not compile within 2 s of one processor"):
+        compile_apart(f"<mujoco><worldbody>{crowd}</worldbody></mujoco>")
 
 
 # --- problems --------------------------------------------------------------------------------------------

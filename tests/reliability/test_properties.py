@@ -73,10 +73,18 @@ def test_no_reader_is_fooled_or_falls(edits: list[tuple[float, float, bytes]], c
         whole = data = file.read_bytes()
         for start, stop, instead in edits:
             data = data[: int(start * len(data))] + instead + data[int(stop * len(data)) :]
-        if data != whole:
+        if data != whole and not says_the_same(data, whole):
             file.write_bytes(data)
             assert_found(file, read, edits)
             file.write_bytes(whole)
+
+
+def says_the_same(data: bytes, whole: bytes) -> bool:
+    """Whether both are JSON of the same values: a space more between them is no damage."""
+    try:
+        return json.loads(data) == json.loads(whole)
+    except (ValueError, RecursionError):
+        return False
 
 
 @pytest.fixture(scope="module")
@@ -319,7 +327,7 @@ def make_problem(folder: Path) -> Loader:
 
 def make_model(folder: Path) -> Loader:
     file = Path(shutil.copy(ASSETS / "reacher.xml", folder))
-    return Loader(file, lambda: read_model(file, ["joint0"]), TEXT)
+    return Loader(file, lambda: read_model(file, ["joint0"]), TEXT, named_by_user=True)
 
 
 def make_npz(folder: Path) -> Loader:

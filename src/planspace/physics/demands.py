@@ -175,9 +175,9 @@ def _multiplied(
     """Every element, and how many of it there will be."""
     if depth > MAX_DEPTH:
         raise PlanspaceError(f"{where} has elements more than {MAX_DEPTH} deep.")
+    yield element, times
     if element.tag == "replicate":
         times *= max(1.0, _product(element.get("count"), where))
-    yield element, times
     for child in element:
         yield from _multiplied(child, times, where, depth + 1)
 
