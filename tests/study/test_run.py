@@ -262,17 +262,9 @@ def test_what_makes_a_claim_hold_is_said(claim: Claim, rule: str) -> None:
 def test_a_spread_is_judged_by_its_logarithm_and_read_as_a_ratio() -> None:
     arms, steps = tuple(Arm("a", label, (policy(0),)) for label in "xy"), np.array([8000])
     study = replace(TINY, arms=arms, claims=(Claim("", "", "spread", "a/x", "a/y"),))
-    x = np.arange(20.0)[None]
-    found = summarise(
-        Findings(
-            study,
-            {},
-            {
-                "a/x": Scores(tuple(range(20)), steps, x, 0, 0),
-                "a/y": Scores(tuple(range(20)), steps, 3 * x, 0, 0),
-            },
-        )
-    )["claims"][0]
+    x, seeds = np.arange(20.0)[None], tuple(range(20))
+    scores = {"a/x": Scores(seeds, steps, x, 0, 0), "a/y": Scores(seeds, steps, 3 * x, 0, 0)}
+    found = summarise(Findings(study, {}, scores))["claims"][0]
     assert found["number"] == pytest.approx(3.0) and found["interval"] == pytest.approx((3.0, 3.0))
 
 

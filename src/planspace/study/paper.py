@@ -24,7 +24,7 @@ def paper(budget: str, grid: Builder) -> Study:
         "What did the paper find, and does it hold?",
         tuple(arm for algo in ALGOS for task in PROBLEMS for arm in _arms(task, algo, grid)),
         (*_swing_up_claims(), *_cartpole_claims(), *_reacher_claims(), *_algorithm_claims()),
-        (*_notes(grid.budget.steps),),
+        tuple(_notes(grid.budget.steps)),
     )
 
 

@@ -60,11 +60,12 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
     panels = []
     for panel, arms in findings.panels().items():
         curves = {arm.label: _curve(findings, arm) for arm in arms}
-        profiles = _profiles(findings, arms)
+        reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
+        profiles = _profiles(reached)
         rows = summary["panels"][panel]
         title = f"{panel}: {_seeds(rows)} seeds of {summary['steps'] / 1e6:g} M steps"
         save_figure(plot_curves(curves, title), figures, slug(panel))
-        save_figure(plot_reached(_reached(findings, arms), rows, title), figures, f"{slug(panel)}-reached")
+        save_figure(plot_reached(reached, rows, title), figures, f"{slug(panel)}-reached")
         save_figure(plot_profiles(profiles, title), figures, f"{slug(panel)}-profile")
         panels.append(
             {
@@ -76,6 +77,9 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
                 "films": [_film(findings, arm) for arm in arms],
             }
         )
+    spaces = _spaces(findings)
+    if spaces:
+        save_figure(plot_spaces(spaces), figures, SPACES)
     content = dict(
         summary=summary,
         study=study,
@@ -84,12 +88,9 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
         spaces_figure=SPACES,
         final_steps=stats.FINAL_STEPS,
         visible=stats.VISIBLE_RATIO,
+        trainings=_trainings(findings, figures),
+        spaces=[{"name": name, "paths": embedded(interactive_lines(x))} for name, x in spaces.items()],
     )
-    content["trainings"] = _trainings(findings, figures)
-    content["spaces"] = _spaces(findings)
-    if content["spaces"]:
-        paths = {name: findings.found(unit)["paths"] for name, unit in _shown_fits(findings).items()}
-        save_figure(plot_spaces(paths), figures, SPACES)
     write_page(folder / "tables.md", "tables.md", **content)
     path = write_page(
         folder / "report.html",
@@ -119,12 +120,7 @@ def _seeds(rows: list[dict[str, Any]]) -> str:
     return f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
 
 
-def _reached(findings: Findings, arms: list[Arm]) -> dict[str, np.ndarray]:
-    return {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
-
-
-def _profiles(findings: Findings, arms: list[Arm]) -> dict[str, Profile]:
-    reached = _reached(findings, arms)
+def _profiles(reached: dict[str, np.ndarray]) -> dict[str, Profile]:
     everything = np.concatenate(list(reached.values()))
     margin = 0.05 * max(float(np.ptp(everything)), 1e-9)
     thresholds = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
@@ -167,20 +163,12 @@ def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
     return shown
 
 
-def _spaces(findings: Findings) -> list[dict[str, str]]:
-    """Demonstrations as embeddings see them."""
-    return [
-        {"name": name, "paths": embedded(interactive_lines(findings.found(unit)["paths"]))}
-        for name, unit in _shown_fits(findings).items()
-    ]
-
-
-def _shown_fits(findings: Findings) -> dict[str, FitUnit]:
-    """The first seed of each kind of embedding, on the largest dataset of each kind."""
+def _spaces(findings: Findings) -> dict[str, Any]:
+    """Demonstrations as embeddings see them: the first seed of each kind, on the largest dataset."""
     kinds: dict[tuple[Any, ...], tuple[str, FitUnit]] = {}
     for name, unit in named_fits(findings).items():
         kind = (replace(unit.plans, num=0), unit.config)
         _, known = kinds.get(kind, (name, unit))
         if kind not in kinds or unit.plans.num > known.plans.num:
             kinds[kind] = name, unit
-    return dict(list(kinds.values())[:MAX_SPACES])
+    return {name: findings.found(unit)["paths"] for name, unit in list(kinds.values())[:MAX_SPACES]}
