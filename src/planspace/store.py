@@ -84,7 +84,11 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 def write_json(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
     """Writes a mapping as JSON, atomically; without an indent on one line, for many numbers."""
-    write_bytes(path, (json.dumps(value, indent=indent, allow_nan=False) + "\n").encode())
+    write_bytes(path, _json_text(value, indent))
+
+
+def _json_text(value: Mapping[str, Any], indent: int | None) -> bytes:
+    return (json.dumps(value, indent=indent, allow_nan=False) + "\n").encode()
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -152,12 +156,15 @@ def _refuse_link_out(path: Path) -> None:
 
 def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
     """Writes a JSON object together with a checksum of its own content."""
-    plain = json.loads(json.dumps(value))
-    write_json(path, {**plain, CHECKSUM_KEY: json_hash(plain)}, indent=indent)
+    write_bytes(path, _sealed_text(json.loads(json.dumps(value)), indent))
+
+
+def _sealed_text(plain: dict[str, Any], indent: int | None) -> bytes:
+    return _json_text({**plain, CHECKSUM_KEY: json_hash(plain)}, indent)
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """Reads a JSON object written by `write_sealed` and verifies its checksum.
+    """Reads a JSON object written by `write_sealed` and verifies that no byte of it is another.
 
     Raises:
         PlanspaceError: missing, not JSON, or altered since it was written.
@@ -166,7 +173,8 @@ def read_sealed(path: Path) -> dict[str, Any]:
     try:
         with within_memory(path):
             value = _json_object(data)
-            is_whole = value.pop(CHECKSUM_KEY, None) == json_hash(value) and data.endswith(b"\n")
+            value.pop(CHECKSUM_KEY, None)
+            is_whole = data == _sealed_text(value, 2 if data.startswith(b"{\n") else None)
     except (ValueError, RecursionError) as error:  # numbers of too many digits, too
         raise damaged(path, f"it is not valid JSON: {error}") from error
     if not is_whole:
@@ -211,9 +219,8 @@ def write_arrays(path: Path, arrays: Arrays, *, about: Mapping[str, Any] | None 
         The SHA-256 of the file.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    plain = json.loads(json.dumps(about))
-    inner = {"about": plain, CHECKSUM_KEY: _arrays_hash(contiguous, plain)}
-    data = safetensors.numpy.save(contiguous, metadata={INNER: json.dumps(inner, sort_keys=True)})
+    inner = _inner_text(contiguous, json.loads(json.dumps(about)))
+    data = safetensors.numpy.save(contiguous, metadata={INNER: inner})
     write_bytes(path, data)
     return hashlib.sha256(data).hexdigest()
 
@@ -267,14 +274,19 @@ def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
         arrays = safetensors.numpy.load(data)
         size = int.from_bytes(data[:8], "little")
         metadata = json.loads(data[8 : 8 + size]).get("__metadata__")
-        inner = None if metadata is None else json.loads(metadata[INNER])
+        if metadata is None and sha256 is not None:  # of somebody else, who vouches for it
+            return arrays, None
+        about = json.loads(metadata[INNER])["about"]
+        is_whole = metadata[INNER] == _inner_text(arrays, about)
     except (safetensors.SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise damaged(path, f"no readable safetensors file ({error})") from error
-    if inner is None and sha256 is not None:  # of somebody else, who vouches for it
-        return arrays, None
-    if not isinstance(inner, dict) or inner.get(CHECKSUM_KEY) != _arrays_hash(arrays, inner.get("about")):
+    if not is_whole:
         raise damaged(path, "it does not match its own checksum")
-    return arrays, inner["about"]
+    return arrays, about
+
+
+def _inner_text(arrays: Arrays, about: Any) -> str:
+    return json.dumps({"about": about, CHECKSUM_KEY: _arrays_hash(arrays, about)}, sort_keys=True)
 
 
 def _arrays_hash(arrays: Arrays, about: Any) -> str:

@@ -15,13 +15,23 @@ from planspace.errors import PlanspaceError
 from planspace.repair import repair
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.store import read_arrays, read_arrays_about
+from planspace.store import read_arrays, read_arrays_about, read_sealed
 from planspace.study.execute import folder_of, read_result, result_file
 from planspace.study.run import run_study, units_to_run
 
 from ..tiny_study import FIT, PLANS, TINY, policy, run_alone
 
 MAX_LENGTH, FLIPS = 4096, 2000
+GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11"
+DESCRIBED = (
+    "demos/manifest.json",
+    "demos/shard-00000.safetensors",
+    "embedding/embedding.safetensors",
+    "run/policies.json",
+    "run/history.safetensors",
+    "units/plans-1b84fedd90915f34.json",
+)
+"""Of the golden artefacts: what is JSON, or has a header that is."""
 POLICY = policy(0, z=True)
 
 
@@ -84,6 +94,31 @@ def test_two_thousand_turned_bits_are_found(copied: Path, rng: np.random.Generat
                     if check:
                         assert_found(file, read, f"byte {place} made {turned:#x}")
         read()
+
+
+def description_bytes(file: Path) -> int:
+    """How long the part is that is JSON: all of it, or the header of a safetensors file."""
+    data = file.read_bytes()
+    return len(data) if file.suffix == ".json" else 8 + int.from_bytes(data[:8], "little")
+
+
+def test_every_turned_bit_of_a_description_is_found(tmp_path: Path) -> None:
+    """Also where a number would still read as the same, or a key that is not asked for has another name."""
+    folder, num_bits = shutil.copytree(GOLDEN, tmp_path / "golden"), 0
+    for file in (folder / name for name in DESCRIBED):
+        read, data = (read_sealed if file.suffix == ".json" else read_arrays), bytearray(file.read_bytes())
+        with open(file, "r+b", buffering=0) as opened:
+            for bit in range(8 * description_bytes(file)):
+                for check in (True, False):
+                    data[bit // 8] ^= 1 << bit % 8
+                    opened.seek(bit // 8)
+                    opened.write(data[bit // 8 : bit // 8 + 1])
+                    if check:
+                        assert_found(file, lambda file=file, read=read: read(file), f"bit {bit}")
+                        num_bits += 1
+        read(file)
+    assert num_bits > 60_000
+    print(f"{num_bits:,} bits turned, one at a time, all found")
 
 
 # --- repair ---------------------------------------------------------------------------------------------

@@ -73,18 +73,10 @@ def test_no_reader_is_fooled_or_falls(edits: list[tuple[float, float, bytes]], c
         whole = data = file.read_bytes()
         for start, stop, instead in edits:
             data = data[: int(start * len(data))] + instead + data[int(stop * len(data)) :]
-        if data != whole and not says_the_same(data, whole):
+        if data != whole:
             file.write_bytes(data)
             assert_found(file, read, edits)
             file.write_bytes(whole)
-
-
-def says_the_same(data: bytes, whole: bytes) -> bool:
-    """Whether both are JSON of the same values: a space more between them is no damage."""
-    try:
-        return json.loads(data) == json.loads(whole)
-    except (ValueError, RecursionError):
-        return False
 
 
 @pytest.fixture(scope="module")
