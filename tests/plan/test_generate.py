@@ -72,6 +72,10 @@ def test_failed_plans_are_counted_and_the_others_kept(
     logged = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     expected = {"plan": 1, "nearest": 0.25, "reason": "no path found within the budget"}
     assert logged[-1]["failures"] == [expected]
+    with open(tmp_path / "log.jsonl", "ab") as log:
+        log.write(b'{"failures": 1}\n')
+    with pytest.raises(PlanspaceError, match="log.jsonl was altered or damaged.*`planspace repair"):
+        generate(problem, tmp_path, num=3, seed=0, config=QUICK_PLANNER, workers=0)
 
 
 def test_an_unreachable_goal_stops_at_its_budget_and_says_how_near_it_came(tmp_path: Path) -> None:

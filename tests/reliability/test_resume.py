@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -19,17 +20,23 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
+from planspace.demos.folder import MANIFEST, DemoFolder, load_demos
 from planspace.embed import training as embed_training
+from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit
-from planspace.errors import PlanspaceError
+from planspace.errors import PartialResult, PlanspaceError
+from planspace.plan import generate as generate_module
+from planspace.plan.generate import generate
+from planspace.plan.problem_file import load_problem
 from planspace.rl import train as rl_training
-from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
-from planspace.store import read_arrays
+from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig, ZMode
+from planspace.store import read_arrays, read_sealed, write_sealed
 
-from ..conftest import QUICK_FIT
+from ..conftest import QUICK_FIT, QUICK_PLANNER
 
 Run = Callable[[Path], Any]
 Ending = dict[str, Any]
+LOG = "log"
 
 
 def ending(folder: Path) -> Ending:
@@ -38,9 +45,12 @@ def ending(folder: Path) -> Ending:
     left: Ending = {f"{f.name}: {k}": v.tobytes() for f in files for k, v in read_arrays(f).items()}
     rows = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     clocks = {"saved", "time", "date", "seconds"}
-    for row in rows:
-        left[f"row {row.get('iteration', row.get('step'))}"] = {k: row[k] for k in row.keys() - clocks}
-    return left
+    return left | {LOG: [{k: row[k] for k in row.keys() - clocks} for row in rows]}
+
+
+def results(left: Ending) -> Ending:
+    """Without the log, which tells a rerun from its first step already by its rows."""
+    return {name: value for name, value in left.items() if name != LOG}
 
 
 def checkpoints(run: Run, module: ModuleType, tmp_path: Path) -> tuple[Ending, list[Path]]:
@@ -111,22 +121,31 @@ def assert_exact(run: Run, module: ModuleType, tmp_path: Path) -> Iterator[str]:
             yield item
 
 
-ARMS: list[tuple[Algo, RLPreset]] = [
-    ("trpo", "paper"),
-    ("trpo", "modern"),
-    ("ppo", "modern"),
+ARMS: list[tuple[Algo, RLPreset, ZMode]] = [
+    ("trpo", "paper", "none"),
+    ("trpo", "modern", "augment"),
+    ("ppo", "paper", "augment"),
+    ("ppo", "modern", "none"),
 ]
 
 
-@pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_policies(algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A checkpoint after every iteration, and small ones."""
     monkeypatch.setattr(rl_training, "BATCH_STEPS", 1000)
     monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
-    config = TrainConfig("cartpole", algo, preset=preset, num_seeds=2, steps=3 * BATCH_STEPS, eval_every=1)
-    tested = set(assert_exact(lambda out: rl_training.train(config, out), rl_training, tmp_path))
+
+
+@pytest.mark.parametrize(("algo", "preset", "z"), ARMS)
+@pytest.mark.usefixtures("often")
+def test_policies(algo: Algo, preset: RLPreset, z: ZMode, embedding: Embedding, tmp_path: Path) -> None:
+    steps = 3 * BATCH_STEPS
+    config = TrainConfig("cartpole", algo, preset=preset, z=z, num_seeds=2, steps=steps, eval_every=1)
+    given = [embedding] if z != "none" else []
+    tested = set(assert_exact(lambda out: rl_training.train(config, out, given), rl_training, tmp_path))
     expected = {".learners.policy.mean.weights", ".learners.policy.mean.biases", ".learners.policy.log_std"}
     expected |= {f".history['{key}']" for key in ("return", "length", "kl", "entropy", "loss", "eval_return")}
-    if (algo, preset) == ("trpo", "paper"):
+    if config.learns.critic == "linear":
         expected |= {".learners.critic.weights"}
     else:
         network = ("network.weights", "network.biases", "mean", "deviation")
@@ -138,23 +157,24 @@ def test_policies(algo: Algo, preset: RLPreset, tmp_path: Path, monkeypatch: pyt
     assert tested >= expected, expected - tested
 
 
-def test_an_embedding(demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def briefly(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Trains an embedding with three checkpoints."""
     monkeypatch.setattr(embed_training, "CHUNK", 20)
     config = replace(QUICK_FIT, steps=60, batch=16).changed(average=0.9)
+    return lambda out: fit(demos, out, config=config, num_seeds=2, seed=3)
 
-    def run(out: Path) -> None:
-        fit(demos, out, config=config, num_seeds=2, seed=3)
 
-    tested = set(assert_exact(run, embed_training, tmp_path))
+def test_an_embedding(briefly: Run, tmp_path: Path) -> None:
+    tested = set(assert_exact(briefly, embed_training, tmp_path))
     networks = ("model", "average", "optimiser.mu", "optimiser.nu")
     parts = ("encode.weights", "encode.biases", "decode.weights", "decode.biases")
     assert tested == {".optimiser.count", *(f".{n}.{part}" for n in networks for part in parts)}
 
 
+@pytest.mark.usefixtures("often")
 def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What no undisturbed run has, so that no mutant above could drop it."""
-    monkeypatch.setattr(rl_training, "BATCH_STEPS", 1000)
-    monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
     save = rl_training.save_checkpoint
 
     def freeze(folder: Path, tree: Any, about: dict[str, Any]) -> None:
@@ -169,21 +189,56 @@ def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert rl_training.train(config, tmp_path)["frozen"][1:].tolist() == [[0.0, 1.0], [0.0, 1.0]]
 
 
-def test_the_number_of_the_iteration_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Random streams follow from it."""
-    monkeypatch.setattr(rl_training, "BATCH_STEPS", 1000)
-    monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
+# --- what stands beside the arrays -------------------------------------------------------------------
+
+
+def assert_number_and_log_are_missed(run: Run, module: ModuleType, number: str, tmp_path: Path) -> None:
+    """How far it had come, from which random streams follow, and the rows until then."""
+    whole, copies = checkpoints(run, module, tmp_path)
+    rowless = shutil.copytree(copies[-1], tmp_path / "rowless")
+    (rowless / "log.jsonl").unlink()
+    run(rowless)
+    assert results(ending(rowless)) == results(whole) and ending(rowless) != whole
+    load = module.load_checkpoint
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "load_checkpoint", lambda folder, like: (load(folder, like)[0], {number: 0}))
+        run(copies[-1])
+    assert results(ending(copies[-1])) != results(whole)
+
+
+@pytest.mark.usefixtures("often")
+def test_the_iteration_of_a_training_is_missed(tmp_path: Path) -> None:
     config = TrainConfig("cartpole", num_seeds=2, steps=3 * BATCH_STEPS)
+    run = lambda out: rl_training.train(config, out)  # noqa: E731
+    assert_number_and_log_are_missed(run, rl_training, "iteration", tmp_path)
 
-    def run(out: Path) -> None:
-        rl_training.train(config, out)
 
-    whole, copies = checkpoints(run, rl_training, tmp_path)
-    load = rl_training.load_checkpoint
+def test_the_step_of_an_embedding_is_missed(briefly: Run, tmp_path: Path) -> None:
+    assert_number_and_log_are_missed(briefly, embed_training, "step", tmp_path)
 
-    def forget(folder: Path, like: Any) -> Any:
-        return load(folder, like)[0], {"iteration": 0}
 
-    monkeypatch.setattr(rl_training, "load_checkpoint", forget)
-    run(copies[-1])
-    assert ending(copies[-1]) != whole
+def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dataset's manifest is its checkpoint: its shards, and how far it had come."""
+    monkeypatch.setattr(generate_module, "SHARD_EPISODES", 2)
+    problem, copies, append = load_problem("cartpole-swingup"), [], DemoFolder.append
+
+    def keep(folder: DemoFolder, *args: Any) -> None:
+        append(folder, *args)
+        copies.append(shutil.copytree(folder.path, tmp_path / f"after-{len(copies) + 1}"))
+
+    def run(out: Path) -> Ending:
+        with suppress(PartialResult):  # says that some are missing
+            generate(problem, out, num=6, seed=0, config=QUICK_PLANNER, workers=0)
+        rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+        return {"hash": load_demos(out).hash, LOG: [row["planned"] for row in rows]}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(DemoFolder, "append", keep)
+        whole = run(tmp_path / "whole")
+    assert len(copies) == 3
+    for copy in copies[:-1]:
+        for lost in ({"shards": []}, {"next_index": 0}):
+            without = shutil.copytree(copy, tmp_path / f"{copy.name} without {next(iter(lost))}")
+            write_sealed(without / MANIFEST, read_sealed(without / MANIFEST) | lost)
+            assert run(without)["hash"] != whole["hash"]
+        assert run(copy) == whole

@@ -23,7 +23,7 @@ from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.plan.problem import Problem
 from planspace.progress import progress
-from planspace.store import append_row, read_bytes
+from planspace.store import append_row, read_bytes, refusing_nonsense
 
 SHARD_EPISODES = 10
 """Plans a shard. A kill costs those since the last one; Ctrl-C and errors cost only plans under way."""
@@ -95,9 +95,9 @@ def _extend(
     batch, failures, solved, next_index = [], [], 0, remaining.start
 
     def save() -> None:
-        folder.append(batch, next_index)
         row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
-        append_row(folder.path / LOG, row)
+        append_row(folder.path / LOG, row)  # first: a row may be there twice, none is missing
+        folder.append(batch, next_index)
         batch.clear()
         failures.clear()
 
@@ -129,13 +129,16 @@ def _report_missing(folder: DemoFolder) -> None:
     missing = folder.next_index - folder.num_episodes
     if not missing:
         return
-    rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
-    failures = [failure for row in rows for failure in row["failures"]]
-    near = [failure for failure in failures if failure["nearest"] is not None]
-    closest = min(near, key=lambda failure: failure["nearest"]) if near else None
-    where = (
-        f" The nearest came within {closest['nearest']:.3g} of it ({closest['reason']})." if closest else ""
-    )
+    with refusing_nonsense(folder.path / LOG):
+        rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
+        failures = [failure for row in rows for failure in row["failures"]]
+        near = [failure for failure in failures if failure["nearest"] is not None]
+        closest = min(near, key=lambda failure: failure["nearest"], default=None)
+        where = (
+            f" The nearest came within {closest['nearest']:.3g} of it ({closest['reason']})."
+            if closest
+            else ""
+        )
     raise PartialResult(
         f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{where} "
         f"The other {folder.num_episodes} are saved in {folder.path}."
