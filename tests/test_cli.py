@@ -7,11 +7,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from planspace.cli import main
+from planspace.store import read_sealed, write_sealed
 
 VERBS = [
     "run",
@@ -239,6 +241,36 @@ def test_other_demos_are_drawn_whole_and_json_stays_json(
     assert (code, out) == (1, "") and "cannot write" in err and len(err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("row", "seeds", "blamed"),
+    [
+        ({"step": 1, "path_error": "small", "bound": 1}, [0, 1], "log.jsonl"),
+        ({"step": 1, "path_error": [1, 2], "bound": [[1], [2]]}, [0, 1], "log.jsonl"),
+        ({"step": 1, "path_error": [1, 2], "bound": [1, 2]}, [0], "log.jsonl"),
+        ({"step": 1, "path_error": [1, 2], "bound": [1, 2]}, [7, 8], "embedding.json"),
+        ({"step": 1, "path_error": [1, 2], "bound": [1, 2]}, 3, "embedding.json"),
+    ],
+)
+def test_a_log_that_lies_is_named_before_anything_is_drawn(
+    row: dict,
+    seeds: Any,
+    blamed: str,
+    capsys: pytest.CaptureFixture[str],
+    embedding_folder: Path,
+    demo_folder: Path,
+    tmp_path: Path,
+) -> None:
+    folder = shutil.copytree(embedding_folder, tmp_path / "e")
+    about = read_sealed(folder / "embedding.json")
+    settings = about["about"]["settings"] | {"seeds": seeds}
+    write_sealed(folder / "embedding.json", about | {"about": about["about"] | {"settings": settings}})
+    (folder / "log.jsonl").write_text(json.dumps(row) + "\n")
+    code, out, err = call(capsys, "measure", folder, demo_folder, "--plot", tmp_path / "p")
+    assert (code, out) == (1, "") and list(tmp_path.glob("p/*")) == []
+    (line,) = [line for line in err.splitlines() if line.startswith("planspace: ")]
+    assert str(folder / blamed) in line and "planspace repair" in line
+
+
 def test_an_embedding_goes_out_as_onnx(
     capsys: pytest.CaptureFixture[str], embedding_folder: Path, tmp_path: Path
 ) -> None:
@@ -361,7 +393,6 @@ def test_repair_says_what_it_found(
 def test_names_of_strangers_move_no_cursor(
     demo_folder: Path, embedding_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from planspace.store import read_sealed, write_sealed
 
     folder = shutil.copytree(demo_folder, tmp_path / "demos")
     manifest = read_sealed(folder / "manifest.json")

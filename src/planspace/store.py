@@ -273,8 +273,8 @@ def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
     try:
         arrays = safetensors.numpy.load(data)
         size = int.from_bytes(data[:8], "little")
-        metadata = json.loads(data[8 : 8 + size]).get("__metadata__")
-        if metadata is None and sha256 is not None:  # of somebody else, who vouches for it
+        metadata = json.loads(data[8 : 8 + size]).get("__metadata__", {})
+        if not metadata and sha256 is not None:  # of somebody else, who vouches for it
             return arrays, None
         about = json.loads(metadata[INNER])["about"]
         is_whole = metadata[INNER] == _inner_text(arrays, about)

@@ -414,7 +414,7 @@ def _try_out(embedding: Embedding, z_dim: int) -> None:
     if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
         raise ValueError("an angle is no column of the state")
     settings = embedding.about.get("settings", {})
-    if "seeds" in settings and embedding.about["seed"] not in settings["seeds"]:
+    if "seeds" in settings and embedding.about["seed"] not in list(settings["seeds"]):
         raise ValueError("its seed is none of those that were trained")
     if not layers or len(inputs.units) != len(inputs.names) or not (inputs.deviation > 0).all():
         raise ValueError("its inputs or its networks are not whole")

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import matplotlib.figure
 import numpy as np
 
 from planspace.demos.dataset import Demos
@@ -10,7 +11,7 @@ from planspace.embed.embedding import LOG, Embedding
 from planspace.embed.measurement import split_of
 from planspace.embed.plot import paths_html, plot_distance_against_time, plot_paths
 from planspace.figure import save_figure
-from planspace.store import make_folder, write_bytes
+from planspace.store import make_folder, refusing_nonsense, write_bytes
 
 
 def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) -> None:
@@ -21,14 +22,23 @@ def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) 
         folder: its folder, where the log of its training is, if anywhere.
         demos: the demonstrations; of those it was trained on, the test split is drawn.
         out: where the figures go.
+
+    Raises:
+        PlanspaceError: a figure cannot be written, or the log makes no sense.
     """
     splits = split_of(embedding, demos)
     episodes = splits.get("test", np.arange(len(demos)))
+    training = _curves(embedding, folder) if (folder / LOG).exists() else None
     make_folder(out)
     save_figure(plot_paths(embedding, demos, episodes), out, "paths")
     write_bytes(out / "paths.html", paths_html(embedding, demos, episodes).encode())
     save_figure(plot_distance_against_time(embedding, demos, episodes), out, "distance")
-    if (folder / LOG).exists():
-        seeds = embedding.about.get("settings", {}).get("seeds")
-        kept = seeds.index(embedding.about["seed"]) if seeds else None
-        save_figure(plot_training(read_log(folder), kept, seeds), out, "training")
+    if training is not None:
+        save_figure(training, out, "training")
+
+
+def _curves(embedding: Embedding, folder: Path) -> matplotlib.figure.Figure:
+    seeds = embedding.about.get("settings", {}).get("seeds")
+    kept = list(seeds).index(embedding.about["seed"]) if seeds else None
+    with refusing_nonsense(folder / LOG):
+        return plot_training(read_log(folder), kept, seeds)

@@ -11,7 +11,7 @@ import planspace
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS, FitConfig
-from planspace.embed.embedding import Embedding
+from planspace.embed.embedding import DESCRIPTION
 from planspace.embed.fit import fit
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.generate import generate
@@ -20,7 +20,7 @@ from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.train import train
-from planspace.store import CONFIG, Arrays, open_run, read_json, write_json
+from planspace.store import CONFIG, Arrays, open_run, read_json, refusing_nonsense, write_json
 from planspace.study.quickstart_report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks import find_task
 
@@ -114,7 +114,9 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
         label: train(config, out / "train" / folder, [] if config.z == "none" else [embedding])
         for label, folder, config in arms
     }
-    summary = summarise(task_name, budget_name, seed, demos, embedding, histories)
+    with refusing_nonsense(out / "embedding" / DESCRIPTION):
+        geometry = _geometry(embedding.about)
+    summary = summarise(task_name, budget_name, seed, demos, geometry, histories)
     reports = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]
     summary["diverged"] = [f"{label}: {text}" for label, text in reports if text]
     write_json(out / "summary.json", summary)
@@ -158,13 +160,12 @@ def summarise(
     budget_name: str,
     seed: int,
     demos: Demos,
-    embedding: Embedding,
+    geometry: dict[str, Any],
     histories: dict[str, Arrays],
 ) -> dict[str, Any]:
     """The closing table as plain data."""
     distances = _end_distances(demos)
     durations = demos.times[demos.offsets[1:] - 1]
-    about = embedding.about
     return {
         "task": task_name,
         "budget": budget_name,
@@ -177,13 +178,18 @@ def summarise(
             "median_end_distance": float(np.median(distances)),
             "median_duration_s": float(np.median(durations)),
         },
-        "geometry": {
-            "split": "test",
-            "embedding_seed": about["seed"],
-            "embedding": _without_nan(about["metrics"]["test"]),
-            "raw_state": _without_nan(about["metrics_raw_state"]),
-        },
+        "geometry": geometry,
         "arms": {label: _arm_row(history) for label, history in histories.items()},
+    }
+
+
+def _geometry(about: dict[str, Any]) -> dict[str, Any]:
+    """What an embedding's description says of the test split."""
+    return {
+        "split": "test",
+        "embedding_seed": about["seed"],
+        "embedding": _without_nan(about["metrics"]["test"]),
+        "raw_state": _without_nan(about["metrics_raw_state"]),
     }
 
 
