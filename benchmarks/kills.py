@@ -97,7 +97,7 @@ COMMANDS = {
     "embed": Command(
         lambda given, out: ["embed", str(given / "plan")],
         "--steps 600 --batch 64 --seeds 2",
-        "--steps 60000 --seeds 3",
+        "--steps 30000 --seeds 3",
         of_embedding,
     ),
     "train": Command(

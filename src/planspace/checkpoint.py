@@ -25,7 +25,8 @@ def save_checkpoint(folder: Path, tree: Any, about: dict[str, Any]) -> None:
         about: plain data, for example the next step.
     """
     make_folder((folder / FILE).parent)
-    write_arrays(folder / FILE, _named_leaves(tree), about=about)
+    arrays = {name: np.asarray(leaf) for name, leaf in _named_leaves(tree).items()}
+    write_arrays(folder / FILE, arrays, about=about)
 
 
 def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
@@ -33,7 +34,7 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
 
     Args:
         folder: the run's folder.
-        like: a tree as it was when saved, of any values.
+        like: a tree as it was when saved, of any values, or of shapes alone (`eqx.filter_eval_shape`).
 
     Returns:
         The tree and the plain data, or None if there is no checkpoint.
@@ -46,8 +47,8 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
         return None
     saved, about = read_arrays_about(path)
     wanted = _named_leaves(like)
-    for name, array in wanted.items():
-        if name not in saved or saved[name].shape != array.shape or saved[name].dtype != array.dtype:
+    for name, leaf in wanted.items():
+        if name not in saved or saved[name].shape != leaf.shape or saved[name].dtype != leaf.dtype:
             raise PlanspaceError(
                 f"{path} does not fit this run ({name or 'its only array'}); remove {path.parent} to "
                 "start over."
@@ -61,10 +62,10 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
     return eqx.combine(restored, rest), about
 
 
-def _named_leaves(tree: Any) -> dict[str, np.ndarray]:
+def _named_leaves(tree: Any) -> dict[str, Any]:
     arrays = eqx.filter(tree, _is_array)
-    return {jax.tree_util.keystr(path): np.asarray(x) for path, x in jax.tree.leaves_with_path(arrays)}
+    return {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree.leaves_with_path(arrays)}
 
 
 def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray)
+    return isinstance(leaf, jax.Array | np.ndarray | jax.ShapeDtypeStruct)

@@ -91,6 +91,8 @@ def ending_without(item: str, run: Run, module: ModuleType, copy: Path, to: Path
             nonlocal lost
             if item_of(jax.tree_util.keystr(path)) != item or not hasattr(fresh, "shape"):
                 return saved
+            if isinstance(fresh, jax.ShapeDtypeStruct):
+                fresh = np.zeros(fresh.shape, fresh.dtype)
             lost |= not np.array_equal(np.asarray(fresh), np.asarray(saved), equal_nan=True)
             return fresh
 

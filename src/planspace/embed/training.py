@@ -62,10 +62,10 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
         PlanspaceError: a seed diverged; the checkpoint holds all seeds as they were before that step.
     """
     init_keys, keys = jnp.stack([jr.split(jr.key(s)) for s in seeds]).T
-    state = init(init_keys, samples, config)
-    first = 0
-    saved = load_checkpoint(out, state)
-    if saved is not None:
+    saved = load_checkpoint(out, eqx.filter_eval_shape(init, init_keys, samples, config))
+    if saved is None:
+        state, first = init(init_keys, samples, config), 0
+    else:
         state, first = saved[0], saved[1]["step"]
     chunk = max(CHUNK, -(-config.steps // MAX_CHUNKS))
 
