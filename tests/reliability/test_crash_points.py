@@ -18,8 +18,8 @@ from planspace.embed.curves import read_log
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.store import append_row, make_folder, write_bytes
-from planspace.study.execute import WHOLE, folder_of, has_folder, is_done, keep_result, read_result
+from planspace.store import append_row
+from planspace.study.execute import _RUN, execute, is_done, read_result
 from planspace.study.run import open_results
 from planspace.study.unit import PlansUnit
 
@@ -127,25 +127,38 @@ def policies() -> Artefact:
     return Artefact(lambda root: None, lambda root: save_policies(root, arrays, about), read)
 
 
-def study_unit() -> Artefact:
-    unit = PlansUnit("cartpole-swingup", 2)
-    result = {"schema": 1, "kind": "plans of a study", "unit": unit.spec, "found": {"hash": "x", "count": 2}}
+def study_unit(demos: Demos) -> Artefact:
+    """A unit as a study runs it; `plan_at_once` stands for its planner."""
+    unit = PlansUnit("cartpole-swingup", len(demos))
 
     def change(root: Path) -> None:
         open_results(root / "study")
-        keep_result(unit, root / "study", result)
-        if not has_folder(unit, root / "study"):
-            write_bytes(make_folder(folder_of(unit, root / "study")) / WHOLE, b"")
+        execute(unit, root / "study")
 
     def read(root: Path) -> dict[str, Any] | None:
-        return read_result(unit, root / "study") if is_done(unit, root / "study") else None
+        return read_result(unit, root / "study")["found"] if is_done(unit, root / "study") else None
 
     return Artefact(lambda root: None, change, read)
 
 
 @pytest.fixture
+def plan_at_once(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans of a unit are there already, and are committed in two shards."""
+
+    def run(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
+        dataset = DemoFolder(folder, demos.info, {"seed": unit.seed})
+        for index in range(dataset.next_index, unit.num, unit.num // 2):
+            to = index + unit.num // 2
+            append_row(folder / "log.jsonl", {"planned": to})
+            dataset.append([demos.episode(i) for i in range(index, to)], next_index=to)
+        return {"hash": load_demos(folder).hash, "count": dataset.num_episodes}
+
+    monkeypatch.setitem(_RUN, "plans", run)
+
+
+@pytest.fixture
 def artefacts(
-    demos: Demos, embedding: Embedding, tmp_path_factory: pytest.TempPathFactory
+    demos: Demos, embedding: Embedding, plan_at_once: None, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, Artefact]:
     return {
         "demo shard": demo_shard(demos),
@@ -154,7 +167,7 @@ def artefacts(
         "embedding": embedding_of(embedding),
         "checkpoint": checkpoint(),
         "policies": policies(),
-        "study unit": study_unit(),
+        "study unit": study_unit(demos),
     }
 
 

@@ -13,7 +13,11 @@ import pytest
 from planspace.cli import main
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import load_embedding
+from planspace.errors import PlanspaceError
 from planspace.rl.history import load_history
+from planspace.study.run import run_study
+
+from ..tiny_study import TINY, what_was_found
 
 DISK_BYTES, PAGE = 4 * 2**20, 4096
 BALLAST = "ballast"
@@ -96,6 +100,20 @@ def test_on_a_full_disk_nothing_is_lost(
         assert command.content(out) == command.content(alone)
         assert not [path.name for path in disk.rglob(".writing-*") if not path.name.endswith("lock")]
         shutil.rmtree(out)
+
+
+def test_a_study_on_a_full_disk_goes_on_when_there_is_room(disk: Path, finished: Path) -> None:
+    out = disk / "out"
+    leave_free(disk, 0)
+    with pytest.raises(PlanspaceError, match="^cannot write .*No space left.*run the same command again"):
+        run_study(TINY, out, workers=2)
+    leave_free(disk, used_bytes(finished) // 2)
+    failed = run_study(TINY, out, workers=2)
+    assert any("No space left" in why for why in failed.values())
+    assert all("No space left" in why or "what it needs has failed" in why for why in failed.values())
+    (disk / BALLAST).unlink()
+    assert run_study(TINY, out, workers=2) == {}
+    assert what_was_found(TINY, out) == what_was_found(TINY, finished)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
