@@ -1,5 +1,7 @@
 """Files cut off at every length, or with a bit turned: always found, by name, with the way to repair it."""
 
+import errno
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -119,6 +121,21 @@ def test_every_turned_bit_of_a_description_is_found(tmp_path: Path) -> None:
         read(file)
     assert num_bits > 60_000
     print(f"{num_bits:,} bits turned, one at a time, all found")
+
+
+def test_a_file_that_the_disk_does_not_give_is_named(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read_bytes = Path.read_bytes
+    for file, read in files_of(finished).items():
+
+        def fail(path: Path, broken: Path = file) -> bytes:
+            if path == broken:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            return read_bytes(path)
+
+        monkeypatch.setattr(Path, "read_bytes", fail)
+        with pytest.raises(PlanspaceError) as raised:
+            read()
+        assert str(raised.value) == f"cannot read {file}: {os.strerror(errno.EIO)}."
 
 
 # --- repair ---------------------------------------------------------------------------------------------
