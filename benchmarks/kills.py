@@ -1,13 +1,14 @@
 """Every long command killed with SIGKILL again and again, and run again each time, beside one left alone.
 
-    python benchmarks/kills.py [--kills N] [--scale small|long] [--only plan,embed,train,study] [--out DIR]
+    python benchmarks/kills.py [--kills N] [--life S] [--scale small|long] [--only plan,embed,train,study]
+        [--out DIR]
 
 The one that is killed has another hash seed, working folder and locale, and on the small scale one core; XLA
 computes on one thread in both (NPROC=1). What ends before it was killed often enough is done once more, in a
 new folder. Prints, for each command, whether all ended with the same content, and the work of one that was
 killed, as a multiple of one left alone: seconds of CPU from its first start to its end, of all its processes,
-with what each start costs. Ends with 1 if a content differs, or if on the long scale, where it lives
-`LIFE` seconds on average, the work is more than `MOST_WORK` times. The long scale takes an hour and a half on
+with what each start costs. Ends with 1 if a content differs, or if on the long scale, where it lives so
+many seconds on average, the work is more than `MOST_WORK` times. The long scale takes an hour and a half on
 two cores; the tests do the small one.
 """
 
@@ -36,8 +37,6 @@ MEASURED = ("seconds", "resumed", "checksum", "cores", "saved", "time")
 """What results and logs say of the clock and the machine, and the seal over them."""
 MOST_WORK = 1.5
 """Killed again and again, a long command may take so many times the work of one left alone."""
-LIFE = 15.0
-"""Seconds that a long command lives on average until it is killed."""
 PR_SET_CHILD_SUBREAPER = 36
 """Of Linux's prctl: the workers that a killed command leaves behind become children of this process."""
 Content = dict[str, Any]
@@ -149,7 +148,7 @@ def cpu_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def try_command(name: str, scale: str, kills: int, out: Path, rng: random.Random) -> bool:
+def try_command(name: str, scale: str, kills: int, life: float, out: Path, rng: random.Random) -> bool:
     """Prints a line of the table; whether the content is the same, and the work not much more."""
     command, given = COMMANDS[name], out / "alone"
     alone, small = given / name, scale == "small"
@@ -164,7 +163,7 @@ def try_command(name: str, scale: str, kills: int, out: Path, rng: random.Random
     while done < kills or not rounds:
         rounds, ended = rounds + 1, False
         killed = out / f"killed-{rounds}" / name
-        shortest, longest = 0.0, 2 * LIFE
+        shortest, longest = 0.0, 2 * life
         if small:
             shortest, longest = 0.2 * start, start + 2.2 * max(undisturbed - start, 0.1) / kills / rounds
         while not ended:
@@ -181,6 +180,7 @@ def try_command(name: str, scale: str, kills: int, out: Path, rng: random.Random
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--kills", type=int, default=50, help="of each command")
+    parser.add_argument("--life", type=float, default=15.0, help="seconds until a kill, on the long scale")
     parser.add_argument("--scale", choices=("small", "long"), default="long")
     parser.add_argument("--only", default=",".join(COMMANDS))
     parser.add_argument("--out", type=Path, default=Path("runs/kills"))
@@ -192,7 +192,7 @@ def main() -> None:
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     rng = random.Random(0)
     names = options.only.split(",")
-    same = [try_command(name, options.scale, options.kills, out, rng) for name in names]
+    same = [try_command(name, options.scale, options.kills, options.life, out, rng) for name in names]
     sys.exit(0 if all(same) else 1)
 
 
