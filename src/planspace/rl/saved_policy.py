@@ -181,6 +181,8 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
 
 def _limits(numbers: list[float | None], unlimited: float) -> Float[np.ndarray, " action"]:
     """The limits of an action on one side; JSON has no infinity, and says null."""
+    if not all(x is None or isinstance(x, int | float) for x in numbers):
+        raise TypeError("a limit of the actions is no number")
     limits = np.array([unlimited if x is None else x for x in numbers], np.float32)
     if not all(x is None or np.isfinite(limit) for x, limit in zip(numbers, limits, strict=True)):
         raise ValueError("a limit of its actions is not finite")
