@@ -155,10 +155,11 @@ def try_command(name: str, scale: str, kills: int, life: float, out: Path, rng: 
     before, began = cpu_seconds(), time.monotonic()
     run(command.line(scale, given, alone), other=False)
     undisturbed, work = time.monotonic() - began, cpu_seconds() - before
-    began = time.monotonic()
+    start = 0.0
     if small:  # a life must be longer than a start: a run with nothing left to do
+        began = time.monotonic()
         run(command.line(scale, given, alone), other=False)
-    start = time.monotonic() - began
+        start = time.monotonic() - began
     done, rounds, same, before = 0, 0, True, cpu_seconds()
     while done < kills or not rounds:
         rounds, ended = rounds + 1, False

@@ -393,7 +393,6 @@ def test_repair_says_what_it_found(
 def test_names_of_strangers_move_no_cursor(
     demo_folder: Path, embedding_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-
     folder = shutil.copytree(demo_folder, tmp_path / "demos")
     manifest = read_sealed(folder / "manifest.json")
     manifest["info"] |= {"names": ["\x1b[2Jx", "two\nlines", "θ", "d"], "problem": "\x1b]0;title\x07"}

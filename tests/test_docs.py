@@ -154,9 +154,10 @@ def test_the_diagrams_are_what_their_script_draws(tmp_path: Path, monkeypatch: p
     matplotlib.use(backend)
     drawn = list((tmp_path / "figures").iterdir())
     assert len(drawn) == 3
-    for file in drawn:
-        letters = [
-            sorted("".join(re.findall(r"<(?:text|tspan)[^>]*>([^<]*)", f.read_text())))
-            for f in (file, DOCS / "figures" / file.name)
-        ]
-        assert letters[0] == letters[1]  # an older Matplotlib cuts formulas in other pieces
+    pages = [[f.read_text() for f in (file, DOCS / "figures" / file.name)] for file in drawn]
+    now, then = ([int(x) for x in re.findall(r"Matplotlib v([0-9.]+)", p)[0].split(".")] for p in pages[0])
+    if now < then:
+        pytest.skip("an older Matplotlib cuts formulas in other pieces")
+    for page in pages:
+        texts = [re.findall(r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", svg) for svg in page]
+        assert texts[0] == texts[1]

@@ -82,12 +82,12 @@ def write_bytes(path: Path, data: bytes) -> None:
             raise
 
 
-def write_json(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Writes a mapping as JSON, atomically; without an indent on one line, for many numbers."""
-    write_bytes(path, _json_text(value, indent))
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Writes a mapping as JSON, atomically."""
+    write_bytes(path, _json_text(value))
 
 
-def _json_text(value: Mapping[str, Any], indent: int | None) -> bytes:
+def _json_text(value: Mapping[str, Any], indent: int | None = 2) -> bytes:
     return (json.dumps(value, indent=indent, allow_nan=False) + "\n").encode()
 
 
@@ -155,7 +155,7 @@ def _refuse_link_out(path: Path) -> None:
 
 
 def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Writes a JSON object together with a checksum of its own content."""
+    """Writes a JSON object with a checksum of its own content; without an indent on one line."""
     write_bytes(path, _sealed_text(json.loads(json.dumps(value)), indent))
 
 

@@ -211,8 +211,9 @@ def assert_number_and_log_are_missed(run: Run, module: ModuleType, number: str, 
 @pytest.mark.usefixtures("often")
 def test_the_iteration_of_a_training_is_missed(tmp_path: Path) -> None:
     config = TrainConfig("cartpole", num_seeds=2, steps=3 * BATCH_STEPS)
-    run = lambda out: rl_training.train(config, out)  # noqa: E731
-    assert_number_and_log_are_missed(run, rl_training, "iteration", tmp_path)
+    assert_number_and_log_are_missed(
+        lambda out: rl_training.train(config, out), rl_training, "iteration", tmp_path
+    )
 
 
 def test_the_step_of_an_embedding_is_missed(briefly: Run, tmp_path: Path) -> None:
