@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from planspace.errors import PlanspaceError
+from planspace.store import read_sealed, write_sealed
 from planspace.study import quickstart as module
 from planspace.study.quickstart import BUDGETS, closing_table, rebuild, run
 
@@ -48,6 +49,14 @@ def test_goes_through_every_stage_and_does_no_finished_work_twice(
     assert (out / "report.html").exists()
     with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 1"):
         run("cartpole-swingup", "smoke", out, 1)
+
+    file = out / "embedding" / "embedding.json"
+    whole, text = file.read_bytes(), read_sealed(file)
+    del text["about"]["metrics"]
+    write_sealed(file, text)
+    with pytest.raises(PlanspaceError, match=f"{file} was altered or damaged: .*'metrics'"):
+        rebuild(out)
+    file.write_bytes(whole)
 
     # an interrupt in the last arm costs that arm's last steps, nothing else
     (out / "train" / "trig-z" / "history.safetensors").unlink()
