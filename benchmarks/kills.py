@@ -59,21 +59,22 @@ class Command:
 
 
 def of_demos(out: Path) -> Content:
-    return {"hash": load_demos(out).hash}
+    return {"hash": load_demos(out).hash, **of_log(out)}
 
 
-def of_log(out: Path, key: str) -> Content:
+def of_log(out: Path) -> Content:
+    """Every row, and each of them once."""
     rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    return {f"row {row[key]}": {k: v for k, v in row.items() if k not in MEASURED} for row in rows}
+    return {f"row {i}": {k: v for k, v in row.items() if k not in MEASURED} for i, row in enumerate(rows)}
 
 
 def of_embedding(out: Path) -> Content:
-    return {"hash": load_embedding(out).hash, **of_log(out, "step")}
+    return {"hash": load_embedding(out).hash, **of_log(out)}
 
 
 def of_training(out: Path) -> Content:
     files = (out / "history.safetensors", out / "policies.safetensors")
-    return {k: v.tobytes() for file in files for k, v in read_arrays(file).items()} | of_log(out, "iteration")
+    return {k: v.tobytes() for file in files for k, v in read_arrays(file).items()} | of_log(out)
 
 
 def of_study(out: Path) -> Content:

@@ -1,4 +1,5 @@
 import errno
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -184,17 +185,34 @@ def test_a_lack_of_memory_is_one_line(
         READERS[kind](file)
 
 
+def test_a_row_is_there_once(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+
+    def append(*steps: int) -> list[int]:
+        store.append_rows(log, [{"step": step} for step in steps], number="step")
+        return [json.loads(line)["step"] for line in log.read_text().splitlines()]
+
+    assert append(1, 2) == [1, 2]
+    assert append(1, 2) == [1, 2]  # as after an interrupt
+    assert append(2, 3, 4) == [1, 2, 3, 4]
+    log.write_text(log.read_text().replace("4", "9"))  # damaged: it must not keep others away
+    assert append(4, 5) == [1, 2, 3, 9, 4, 5]
+    log.write_text('[]\nnonsense\n{"other": 1}\n')
+    store.append_rows(log, [{"step": 1}], number="step")
+    assert len(log.read_text().splitlines()) == 4
+
+
 def test_no_row_is_added_to_a_file_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     log = tmp_path / "run" / "log.jsonl"
-    store.append_row(log, {"step": 1})
+    store.append_rows(log, [{"step": 1}], number="step")
     log.rename(tmp_path / "thesis")
     log.symlink_to(tmp_path / "thesis")
     for target in (tmp_path / "thesis", tmp_path / "new"):
         log.unlink()
         log.symlink_to(target)
         with pytest.raises(PlanspaceError, match="is a link out of its folder"):
-            store.append_row(log, {"step": 2})
+            store.append_rows(log, [{"step": 2}], number="step")
     assert (tmp_path / "thesis").read_text() == '{"step": 1}\n' and not (tmp_path / "new").exists()
 
 

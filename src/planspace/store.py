@@ -13,7 +13,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -297,38 +297,57 @@ def _arrays_hash(arrays: Arrays, about: Any) -> str:
     return digest.hexdigest()
 
 
-def append_row(path: Path, row: Mapping[str, Any]) -> None:
-    """Appends one JSON line to a log and flushes it; a line that does not fit leaves no part of itself."""
+def append_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, number: str) -> None:
+    """Appends JSON lines to a log and flushes them; where they do not fit, no part of them is left.
+
+    A row that is there already is not appended again: what comes between a row and the checkpoint that counts
+    it (an interrupt, a crash) has the row done once more, and the same.
+
+    Args:
+        path: the log.
+        rows: in order of their numbers, at least one.
+        number: the key of a row's number, which rises from row to row.
+
+    Raises:
+        PlanspaceError: it cannot be written, or `check_file` refuses it.
+    """
     with _explain_write(path):
         new = not os.path.lexists(path)
-        if not new:
-            check_file(path)
-        size = 0 if new else _drop_part_of_line(path)
+        whole = b"" if new else _whole_lines(path)
+        known = _numbers_from(rows[0][number], whole, number)
+        lines = b"".join((json.dumps(row) + "\n").encode() for row in rows if row[number] not in known)
         try:
             with open(path, "ab", buffering=0) as file:
-                line = (json.dumps(row) + "\n").encode()
-                if file.write(line) != len(line):
+                if file.write(lines) != len(lines):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                os.fsync(file.fileno())
+                os.fsync(file.fileno())  # without lines, too: an interrupt may have come before it
         except OSError:
             if path.exists():
-                os.truncate(path, size)
+                os.truncate(path, len(whole))
             raise
         if new:
             _sync_folder(path.parent)
 
 
-def _drop_part_of_line(path: Path) -> int:
-    """Removes a line at the end that a crash cut off; returns the size of what is left."""
-    size = path.stat().st_size
-    with open(path, "rb") as file:
-        file.seek(max(size - 1, 0))
-        if file.read(1) in (b"", b"\n"):
-            return size
-        file.seek(0)
-        whole = file.read().rfind(b"\n") + 1
-    os.truncate(path, whole)
+def _whole_lines(path: Path) -> bytes:
+    """A log's content, once a line at the end that a crash cut off is removed."""
+    data = read_bytes(path)
+    whole = data[: data.rfind(b"\n") + 1]
+    if len(whole) < len(data):
+        os.truncate(path, len(whole))
     return whole
+
+
+def _numbers_from(first: int, log: bytes, number: str) -> set[int]:
+    """The numbers of the last rows of a log, as far back as they are not below the first."""
+    found: set[int] = set()
+    for line in reversed(log.splitlines()):
+        there = json.loads(line).get(number) if is_row(line) else None
+        if isinstance(there, int):
+            if there < first:
+                break
+            found.add(there)
+    return found
 
 
 def is_row(line: bytes) -> bool:

@@ -1,5 +1,6 @@
 """Whatever call to the disk fails, and however: what was saved is there, old or new, and a rerun succeeds."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,11 +15,10 @@ from planspace.demos.convert import import_npz
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.demos.npz_files import export_npz
-from planspace.embed.curves import read_log
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.store import append_row
+from planspace.store import append_rows, is_row
 from planspace.study.execute import _RUN, execute, is_done, read_result
 from planspace.study.run import open_results
 from planspace.study.unit import PlansUnit
@@ -97,7 +97,7 @@ def checkpoint() -> Artefact:
     def save(root: Path, step: int) -> None:
         saved = load_checkpoint(root, tree(0))
         if saved is None or saved[1]["step"] < step:
-            append_row(root / "log.jsonl", {"step": step})
+            append_rows(root / "log.jsonl", [{"step": step}], number="step")
             save_checkpoint(root, tree(step), {"step": step})
 
     def read(root: Path) -> tuple[int, list[int]]:
@@ -106,7 +106,8 @@ def checkpoint() -> Artefact:
         step = saved[1]["step"]
         for name, array in tree(step).items():
             np.testing.assert_array_equal(saved[0][name], array)
-        return step, [row["step"] for row in read_log(root) if row["step"] <= step]
+        rows = [json.loads(line) for line in (root / "log.jsonl").read_bytes().splitlines() if is_row(line)]
+        return step, [row["step"] for row in rows if row["step"] <= step]  # each of them once
 
     return Artefact(lambda root: save(root, 1), lambda root: save(root, 2), read)
 
@@ -149,7 +150,7 @@ def plan_at_once(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> None:
         dataset = DemoFolder(folder, demos.info, {"seed": unit.seed})
         for index in range(dataset.next_index, unit.num, unit.num // 2):
             to = index + unit.num // 2
-            append_row(folder / "log.jsonl", {"planned": to})
+            append_rows(folder / "log.jsonl", [{"planned": to}], number="planned")
             dataset.append([demos.episode(i) for i in range(index, to)], next_index=to)
         return {"hash": load_demos(folder).hash, "count": dataset.num_episodes}
 

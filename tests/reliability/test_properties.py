@@ -36,9 +36,8 @@ from planspace.repair import repair
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
 from planspace.store import (
-    append_row,
+    append_rows,
     file_hash,
-    is_row,
     json_hash,
     read_arrays,
     read_described,
@@ -91,13 +90,13 @@ def copied(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_row_that_was_cut_off_never_harms_the_next(rows: list[dict[str, Any]], rest: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.jsonl"
-        for row in rows:
-            append_row(log, row)
+        for i, row in enumerate(rows):
+            append_rows(log, [{**row, "number": i}], number="number")
         with open(log, "ab") as file:
             file.write(rest.replace(b"\n", b""))
-        append_row(log, {"after": 1})
+        append_rows(log, [{"number": len(rows)}], number="number")
         lines = log.read_bytes().splitlines()
-        assert len(lines) == len(rows) + 1 and all(map(is_row, lines))
+        assert [json.loads(line)["number"] for line in lines] == list(range(len(rows) + 1))
 
 
 # --- files of strangers ----------------------------------------------------------------------------------

@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from planspace import load_policy
+from planspace.checkpoint import FILE
 from planspace.cli import main
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.envs.batch import TaskBatch
@@ -26,6 +28,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
 from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first_returns
 from planspace.rl.train import train
+from planspace.store import read_arrays_about
 from planspace.tasks import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
@@ -100,6 +103,28 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     for key, expected in whole.items():
         np.testing.assert_array_equal(expected, cut[key])
     assert len((tmp_path / "cut" / "log.jsonl").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("name", ["append_rows", "save_checkpoint"])
+def test_an_interrupt_while_saving_leaves_each_row_once(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, interrupts = getattr(module, name), []
+
+    def interrupted(*args: object, **options: object) -> None:
+        work(*args, **options)
+        if not interrupts:
+            interrupts.append(KeyboardInterrupt())
+            raise interrupts[0]
+
+    monkeypatch.setattr(module, "CHECKPOINT_EVERY", 1)
+    monkeypatch.setattr(module, name, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(SWING_UP, tmp_path)
+    assert read_arrays_about(tmp_path / FILE)[1] == {"iteration": 1}  # nothing that was done is lost
+    train(SWING_UP, tmp_path)
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows] == [1, 2, 3]
 
 
 def test_a_finished_run_is_returned_and_another_refused(tmp_path: Path) -> None:

@@ -29,8 +29,7 @@ EARLY_SHARE, EARLY_STRETCH = 0.1, 3.0
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """Reads the curves of a training, in order of steps.
 
-    A resumed run may have logged a step twice, of which the later row counts; a last line cut off by a crash
-    is passed over.
+    Of a step that is there twice the later row counts; a last line cut off by a crash is passed over.
 
     Args:
         folder: an embedding's folder, which holds log.jsonl.

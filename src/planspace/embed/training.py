@@ -86,7 +86,7 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
             state = after
             first += length
             means = {name: np.asarray(v)[:, :length].mean(axis=1).tolist() for name, v in terms.items()}
-            log(first, first - length, state.kept, means)  # first: a row may be there twice, none is missing
+            log(first, first - length, state.kept, means)  # first, so that none is missing
             save_checkpoint(out, state, {"step": first})
             bar.update(length)
             bar.set_postfix_str(f"bound {np.mean(means['bound']):.2f}", refresh=False)

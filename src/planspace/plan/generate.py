@@ -23,7 +23,7 @@ from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.plan.problem import Problem
 from planspace.progress import progress
-from planspace.store import append_row, read_bytes, refusing_nonsense
+from planspace.store import append_rows, read_bytes, refusing_nonsense
 
 SHARD_EPISODES = 10
 """Plans a shard. A kill costs those since the last one; Ctrl-C and errors cost only plans under way."""
@@ -96,7 +96,7 @@ def _extend(
 
     def save() -> None:
         row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
-        append_row(folder.path / LOG, row)  # first: a row may be there twice, none is missing
+        append_rows(folder.path / LOG, [row], number="planned")  # first, so that none is missing
         folder.append(batch, next_index)
         batch.clear()
         failures.clear()

@@ -38,7 +38,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.rl.shaping import Shaping
-from planspace.store import Arrays, append_row, open_run, write_arrays
+from planspace.store import Arrays, append_rows, open_run, write_arrays
 from planspace.tasks import Task, find_reward_form, find_task
 from planspace.track import TrackerName, open_trackers
 
@@ -183,12 +183,14 @@ def _run(arm: _Arm, state: _State, first: int, out: Path, track: Sequence[Tracke
     ):
 
         def save() -> None:
+            rows = []
             for i in range(saved, done):
                 row = {key: state.history[key][i].tolist() for key in HISTORY_KEYS}
                 if i + 1 in config.evaluations:
                     row[EVALUATION] = state.history[EVALUATION][config.evaluations.index(i + 1)].tolist()
-                append_row(out / "log.jsonl", {"iteration": i + 1, "saved": time.time(), **without_nan(row)})
+                rows.append({"iteration": i + 1, "saved": time.time(), **without_nan(row)})
                 add_scalars((i + 1) * arm.steps, scalars(row, config.seeds))
+            append_rows(out / "log.jsonl", rows, number="iteration")
             save_checkpoint(out, state, {"iteration": done})
 
         try:
