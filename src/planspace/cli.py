@@ -42,8 +42,10 @@ class Run:
 
     def __call__(self) -> None:
         """Runs it and prints the closing table."""
+        from planspace.compiled import keep_compiled
         from planspace.study.quickstart import closing_table, run
 
+        keep_compiled()
         out = self.out or Path("runs") / f"{self.task}-{self.budget}"
         summary = run(self.task, self.budget, out, self.seed)
         print(closing_table(summary))
@@ -334,6 +336,7 @@ class Embed:
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
+        from planspace.compiled import keep_compiled
         from planspace.demos.folder import load_demos
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
@@ -343,6 +346,7 @@ class Embed:
             raise UsageError("--z-dim and --seeds must be at least 1, --seed at least 0.")
         if self.device:
             use_device(self.device)
+        keep_compiled()
         config = PRESETS[self.preset].changed(
             z_dim=self.z_dim,
             columns=self.columns,
@@ -493,6 +497,7 @@ class Train:
 
     def __call__(self) -> None:
         """Trains and prints the returns at the end."""
+        from planspace.compiled import keep_compiled
         from planspace.embed.embedding import load_embedding
         from planspace.figure import save_figure
         from planspace.rl.config import TrainConfig
@@ -518,6 +523,7 @@ class Train:
         if rounded != self.steps:
             print(f"--steps {self.steps} rounded to {rounded}, whole iterations", file=sys.stderr)
         embeddings = [load_embedding(folder) for folder in self.embedding]
+        keep_compiled()
         history = train(config, self.out, embeddings, self.track)
         for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
             last = returns[-1]

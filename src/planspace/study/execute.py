@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 import planspace
+from planspace.compiled import keep_compiled
 from planspace.cores import count_cores
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
@@ -89,6 +90,7 @@ def execute(unit: Unit, out: Path) -> None:
     Raises:
         PlanspaceError: it failed; what was done is saved.
     """
+    keep_compiled()
     began = time.monotonic()
     folder = folder_of(unit, out)
     resumed = folder.exists()
