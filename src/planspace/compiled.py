@@ -1,4 +1,4 @@
-"""Programs that XLA compiled are kept for the next start, most of which they take otherwise."""
+"""What XLA compiled is kept for the next start, most of which goes into compiling otherwise."""
 
 import hashlib
 import os
