@@ -156,25 +156,25 @@ def try_command(name: str, scale: str, kills: int, life: float, out: Path, rng: 
     """Prints a line of the table; whether the content is the same, and the work not much more."""
     command, given = COMMANDS[name], out / "alone"
     alone, small = given / name, scale == "small"
+    line, cache = command.line(scale, given, alone), given / f"{name}-cache"
     before, began = cpu_seconds(), time.monotonic()
-    run(command.line(scale, given, alone), given / f"{name}-cache", other=False)
+    run(line, cache, other=False)
     undisturbed, work = time.monotonic() - began, cpu_seconds() - before
     start = 0.0
     if small:  # a life must be longer than a start: a run with nothing left to do
         began = time.monotonic()
-        run(command.line(scale, given, alone), given / f"{name}-cache", other=False)
+        run(line, cache, other=False)
         start = time.monotonic() - began
     done, rounds, same, before = 0, 0, True, cpu_seconds()
     while done < kills or not rounds:
         rounds, ended = rounds + 1, False
         killed = out / f"killed-{rounds}" / name
-        cache = killed.with_name(f"{name}-cache")
+        line, cache = command.line(scale, given, killed), killed.with_name(f"{name}-cache")
         shortest, longest = 0.0, 2 * life
         if small:
             shortest, longest = 0.2 * start, start + 2.2 * max(undisturbed - start, 0.1) / kills / rounds
         while not ended:
             limit = rng.uniform(shortest, longest) if done < kills else None
-            line = command.line(scale, given, killed)
             ended = run(line, cache, other=True, one_core=small, seconds=limit)
             done += not ended
         same = same and command.content(alone) == command.content(killed)

@@ -10,6 +10,8 @@ import pytest
 
 from planspace.compiled import KEPT_S, keep_compiled
 
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="nothing is kept on Windows")
+
 TRAIN = """
 import sys
 import jax
@@ -78,7 +80,6 @@ def test_every_number_of_threads_has_its_own(cache: Path, monkeypatch: pytest.Mo
     assert kept_in() not in (None, folder)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
 @pytest.mark.parametrize("part", ["planspace", "machine"])
 def test_nothing_is_taken_from_where_others_write(part: str, cache: Path, tmp_path: Path) -> None:
     folder = kept_in()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jax
 
-from planspace.cores import count_cores
+from planspace.cores import CPU_INFO, count_cores
 
 KEPT_S = 30 * 24 * 3600
 """Older programs are removed; what is in use still is compiled once more."""
@@ -60,8 +60,7 @@ def _make_folder() -> Path | None:
 
 def _machine() -> str:
     """What a program depends on apart from JAX's version, its flags and itself, which JAX looks at."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else [platform.node()]
+    lines = CPU_INFO.read_text().splitlines() if CPU_INFO.exists() else [platform.node()]
     cpu = {line for line in lines if line.startswith(_CPU_LINES)} or {*lines}
     parts = [platform.machine(), *sorted(cpu), str(count_cores()), os.environ.get("NPROC", "")]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

@@ -23,8 +23,10 @@ def count_cores() -> int:
 ORPHANED = 130
 """Exit code of a process whose parent is gone."""
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), "1")
-_CPU = Path("/proc/cpuinfo")
-_KERNELS = {"OPENBLAS_CORETYPE": "Haswell"} if _CPU.exists() and " avx2 " in _CPU.read_text() else {}
+CPU_INFO = Path("/proc/cpuinfo")
+"""Where Linux describes the CPU."""
+_HAS_AVX2 = CPU_INFO.exists() and " avx2 " in CPU_INFO.read_text()
+_KERNELS = {"OPENBLAS_CORETYPE": "Haswell"} if _HAS_AVX2 else {}
 WORKER_ENVIRONMENT: dict[str, str] = _ONE_THREAD | _KERNELS
 """Environment of a process that works beside others and is to compute what it would anywhere.
 
