@@ -29,7 +29,7 @@ from planspace.envs.wrappers import (
     PlanSpaceVectorObservation,
     PlanSpaceVectorShaping,
 )
-from planspace.tasks import Task, find_task
+from planspace.tasks.task import Task, find_task
 
 SECONDS = 1.0
 """About how long each measurement takes."""

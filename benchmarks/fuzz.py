@@ -59,10 +59,10 @@ def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
     """What reads a file of these bytes, and files to begin with."""
     from planspace.demos.folder import load_demos
     from planspace.embed.embedding import load_embedding
-    from planspace.physics.mjcf import read_model
-    from planspace.physics.simulate import ASSETS
-    from planspace.plan.problem_file import load_problem
+    from planspace.mjcf.compile import ASSETS
+    from planspace.mjcf.read import read_model
     from planspace.rl.saved_policy import load_policy
+    from planspace.tasks.problem_file import load_problem
 
     problem = (ASSETS / "cartpole-swingup.yaml").read_bytes()
     models = sorted(ASSETS.glob("*.xml"))
@@ -108,7 +108,7 @@ def sealed(file: Path, read: Callable[[], Any]) -> Probe:
     """Changes some values of a description as the bytes say, and makes its checksum anew."""
     import atheris
 
-    from planspace.store import read_sealed, write_sealed
+    from planspace.storage.files import read_sealed, write_sealed
 
     whole = read_sealed(file)
 

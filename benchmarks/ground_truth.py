@@ -19,8 +19,8 @@ from scipy.optimize import brentq
 from planspace.demos.folder import load_demos
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
-from planspace.store import write_bytes
+from planspace.storage.files import write_bytes
+from planspace.tasks.problem_file import load_problem
 
 FOLDER = Path(__file__).parent / "ground_truth"
 

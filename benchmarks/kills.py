@@ -28,10 +28,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from planspace.cores import WORKER_ENVIRONMENT
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import load_embedding
-from planspace.store import read_arrays
+from planspace.storage.files import read_arrays
+from planspace.workers import WORKER_ENVIRONMENT
 
 MEASURED = ("seconds", "resumed", "checksum", "cores", "saved", "time")
 """What results and logs say of the clock and the machine, and the seal over them."""

@@ -20,8 +20,8 @@ from multiprocessing import get_context
 import numpy as np
 
 from planspace.plan.planner import Failure, Planner, PlannerConfig
-from planspace.plan.problem_file import load_problem
 from planspace.progress import progress
+from planspace.tasks.problem_file import load_problem
 
 PLANNERS = ("sst", "sst alone", "ompl-sst", "ompl-rrt", "ompl-kpiece1")
 

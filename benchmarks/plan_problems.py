@@ -18,7 +18,7 @@ from planspace.demos.describe import replay_errors
 from planspace.demos.folder import load_demos
 from planspace.errors import PartialResult
 from planspace.plan.generate import generate
-from planspace.plan.problem_file import load_problem, shipped_problems
+from planspace.tasks.problem_file import load_problem, shipped_problems
 
 
 def row(name: str, num: int, seed: int) -> str:

@@ -20,7 +20,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem_file import load_problem
 
 
 def shortest(name: str, demos: Demos) -> np.ndarray:

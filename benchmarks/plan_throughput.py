@@ -13,10 +13,10 @@ import numpy as np
 from mujoco.batch import Batch
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Problem
-from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
+from planspace.tasks.problem import Problem
+from planspace.tasks.problem_file import load_problem
 
 PROBLEMS = ("cartpole-swingup", "reacher", "pendulum", "acrobot", "quadrotor", "arm")
 ROUNDS = int(sys.argv[2]) if len(sys.argv) > 2 else 60

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.figure import save_figure
+from planspace.figures.learning_curves import learning_curve, plot_curves
+from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS, PRESETS, Algo, LearnerConfig, TrainConfig
-from planspace.rl.curves import learning_curve, plot_curves
 from planspace.rl.train import train
-from planspace.store import read_json, write_bytes
-from planspace.tasks import TASKS
+from planspace.storage.files import read_json, write_bytes
+from planspace.tasks.task import TASKS
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 TASK, OBS = TASKS["cartpole-swingup"], "trig"

@@ -17,11 +17,11 @@ import numpy as np
 
 from planspace.cli import main as planspace
 from planspace.errors import PartialResult
-from planspace.figure import save_figure
+from planspace.figures.learning_curves import SMOOTHING, Curve, learning_curve, plot_curves
+from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS
-from planspace.rl.curves import SMOOTHING, Curve, learning_curve, plot_curves
 from planspace.rl.history import load_history
-from planspace.store import read_json, write_bytes
+from planspace.storage.files import read_json, write_bytes
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15

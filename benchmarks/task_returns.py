@@ -11,12 +11,12 @@ import argparse
 import numpy as np
 
 from planspace.envs.batch import TaskBatch
-from planspace.tasks import TASKS, RewardForm, Task
+from planspace.tasks.task import TASKS, RewardType, Task
 
 POLICIES = ("idle", "noise", "random")
 
 
-def returns(task: Task, policy: str, num: int, reward: RewardForm = "dense") -> np.ndarray:
+def returns(task: Task, policy: str, num: int, reward: RewardType = "dense") -> np.ndarray:
     """The return of each of `num` episodes."""
     rng = np.random.default_rng(0)
     batch = TaskBatch(task, num, reward=reward)
@@ -44,7 +44,7 @@ def main() -> None:
     print(f"command: python benchmarks/task_returns.py --episodes {arguments.episodes}")
     print("| task | " + " | ".join(POLICIES) + " |\n|" + "---|" * (len(POLICIES) + 1))
     for task in TASKS.values():
-        for form in task.reward_forms:
+        for form in task.reward_types:
             if form == "sparse":
                 continue
             cells = []

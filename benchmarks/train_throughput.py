@@ -29,12 +29,12 @@ from unittest import mock
 
 import numpy as np
 
-from planspace.cores import count_cores
 from planspace.envs.batch import TaskBatch
 from planspace.physics.simulate import Simulator
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
-from planspace.tasks import TASKS
+from planspace.tasks.task import TASKS
+from planspace.workers import count_cores
 
 TASK = TASKS["cartpole-swingup"]
 ITERATIONS = 25

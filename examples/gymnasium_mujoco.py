@@ -20,7 +20,7 @@ from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
 from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.plan.generate import generate
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem_file import load_problem
 
 ASSETS = Path(gymnasium_mujoco.__file__).parent / "assets"
 

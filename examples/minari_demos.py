@@ -19,10 +19,10 @@ import numpy as np
 import planspace
 from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
-from planspace.physics.simulate import ASSETS
+from planspace.mjcf.compile import ASSETS
 from planspace.plan.generate import generate
-from planspace.plan.problem import Problem
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem import Problem
+from planspace.tasks.problem_file import load_problem
 
 TASK = "planspace/CartPoleSwingUp-v0"
 

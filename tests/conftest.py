@@ -16,8 +16,8 @@ from planspace.embed.fit import fit
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import PolishConfig
-from planspace.plan.problem_file import load_problem
 from planspace.plan.sst import SSTConfig
+from planspace.tasks.problem_file import load_problem
 
 RELEASED = Path(__file__).parents[2] / "shared" / "data" / "released-2020"
 

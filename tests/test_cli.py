@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from planspace.cli import main
-from planspace.store import read_sealed, write_sealed
+from planspace.storage.files import read_sealed, write_sealed
 
 VERBS = [
     "run",
@@ -415,6 +415,6 @@ def test_too_little_memory_is_one_line(
     def full(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("planspace.doctor.examine", full)
+    monkeypatch.setattr("planspace.cli.doctor.examine", full)
     assert main(["doctor"]) == 1
     assert capsys.readouterr().err == "planspace: there is not enough memory for that.\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from planspace.compiled import KEPT_S, keep_compiled
+from planspace.storage.compiled import KEPT_S, keep_compiled
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="nothing is kept on Windows")
 

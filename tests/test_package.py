@@ -8,7 +8,7 @@ from pathlib import Path
 import planspace
 
 SOURCE = Path(planspace.__file__).parent
-ORDER = ["demos", "plan", "embed", "envs", "rl", "study"]
+ORDER = ["storage", "mjcf", "physics", "tasks", "demos", "plan", "embed", "envs", "rl", "figures", "study"]
 """The stages: data flows in this direction, and so may no import flow against it."""
 
 
@@ -52,6 +52,6 @@ def test_nothing_is_pickled() -> None:
 
 def test_gymnasium_names_are_those_of_the_tasks() -> None:
     from planspace.envs import ENVIRONMENTS
-    from planspace.tasks import TASKS
+    from planspace.tasks.task import TASKS
 
     assert {task.env_id: (task.name, task.horizon) for task in TASKS.values()} == ENVIRONMENTS

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planspace import store
 from planspace.errors import PlanspaceError
+from planspace.storage import files as store
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(

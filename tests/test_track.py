@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from planspace import track
 from planspace.errors import PlanspaceError
-from planspace.track import open_tracker, open_trackers, open_wandb
+from planspace.storage import tracking as track
+from planspace.storage.tracking import open_tracker, open_trackers, open_wandb
 
 pytest.importorskip("tensorboard")
 
@@ -79,7 +79,7 @@ def test_without_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_neither_tensorflow_nor_torch_is_needed(tmp_path: Path) -> None:
     code = (
         "import sys\nfor name in ('tensorflow', 'torch'): sys.modules[name] = None\n"
-        "import pathlib, planspace.track as t\nassert 'tensorboard' not in sys.modules\n"
+        "import pathlib, planspace.storage.tracking as t\nassert 'tensorboard' not in sys.modules\n"
         f"with t.open_tracker(pathlib.Path({str(tmp_path)!r})) as tracker: tracker.add(3, {{'a': 1.0}})"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

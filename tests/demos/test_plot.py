@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, StateInfo
-from planspace.demos.plot import plot_demos
 from planspace.demos.recording import recorded
+from planspace.figures.demos import plot_demos
 
 BALL = tuple(f"ball_{axis}" for axis in ("w", "x", "y", "z"))
 SEVEN = tuple(f"joint{i}" for i in range(7))

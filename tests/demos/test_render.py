@@ -8,10 +8,10 @@ import pytest
 from planspace.demos.dataset import Demos, StateInfo
 from planspace.demos.recording import recorded
 from planspace.demos.render import FilmConfig, render_demos
-from planspace.doctor import rendering_backend
 from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.rendering import rendering_backend
 from planspace.plan.generate import state_info
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem_file import load_problem
 
 # ffmpeg is started by a fork, before which JAX, imported by other tests, warns
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork\\(\\) was called:RuntimeWarning")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
-from planspace.embed.curves import plot_training, read_log, rolling
 from planspace.errors import PlanspaceError
+from planspace.figures.training_curves import plot_training, read_log, rolling
 
 
 def log(num_rows: int = 40, num_seeds: int = 3) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ import pytest
 
 import planspace
 from planspace.embed import export
-from planspace.embed.embedding import Embedding, InputForm, Inputs, Turn
+from planspace.embed.embedding import Embedding, Inputs, InputType, Turn
 from planspace.embed.networks import GaussianNetwork
 from planspace.errors import PlanspaceError
 
@@ -22,7 +22,7 @@ SEVERAL_TURNS = 50.0
 TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.1], [0.0, 0.2, 2.0]])
 
 
-def made(form: InputForm, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)) -> Embedding:
+def made(form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)) -> Embedding:
     """An encoder with random weights; x is far from 0 beside its deviation, as an altitude is."""
     num = 4 + (len(circular) if form == "trig" else 0)
     mean = np.linspace(0.1, 0.7, num) if form == "trig" else np.zeros(num)
@@ -56,7 +56,7 @@ def assert_same(embedding: Embedding, path: Path, states: np.ndarray) -> None:
     [("raw", (1,)), ("raw", ()), ("trig", ()), ("trig", (1,)), ("trig", (3, 1)), ("trig", (0, 1, 2, 3))],
 )
 def test_onnxruntime_computes_what_we_compute(
-    form: InputForm, circular: tuple[int, ...], hidden: tuple[int, ...], tmp_path: Path, rng
+    form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...], tmp_path: Path, rng
 ) -> None:
     embedding = made(form, circular, hidden)
     export.export_onnx(embedding, tmp_path / "e.onnx")

@@ -7,7 +7,6 @@ import numpy as np
 import optax
 import pytest
 
-from planspace.checkpoint import FILE
 from planspace.demos.dataset import Demos, Episode
 from planspace.embed import fit as module
 from planspace.embed import training
@@ -17,7 +16,8 @@ from planspace.embed.fit import fit
 from planspace.embed.geometry import measure
 from planspace.embed.training import CHUNK
 from planspace.errors import PlanspaceError, UsageError
-from planspace.store import file_hash, read_arrays, read_arrays_about
+from planspace.storage.checkpoint import FILE
+from planspace.storage.files import file_hash, read_arrays, read_arrays_about
 
 from ..conftest import QUICK_FIT
 

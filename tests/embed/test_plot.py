@@ -11,14 +11,14 @@ import pytest
 from planspace.demos.dataset import Demos, StateInfo
 from planspace.demos.recording import recorded
 from planspace.embed.embedding import Embedding, Inputs
-from planspace.embed.plot import (
+from planspace.errors import PlanspaceError
+from planspace.figures.embedding import (
     MAX_DRAWN,
     MAX_INTERACTIVE,
     paths_html,
     plot_distance_against_time,
     plot_paths,
 )
-from planspace.errors import PlanspaceError
 
 NAMES, UNITS = ("p", "q", "r", "s", "t"), ("m", "", "m/s", "rad/s", "N")
 

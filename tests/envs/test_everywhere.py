@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 from planspace.embed.embedding import Embedding, Inputs
 from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
-from planspace.tasks import TASKS, Task
+from planspace.tasks.task import TASKS, Task
 
 NAMED_WARNINGS = (
     "symmetric and normalized",  # both checkers, of an action range other than -1 to 1

@@ -5,9 +5,9 @@ import pytest
 import planspace
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
-from planspace.plan.problem_file import load_problem
-from planspace.rewards import fingertip
-from planspace.tasks import TASKS, Task, find_task
+from planspace.tasks.problem_file import load_problem
+from planspace.tasks.rewards import fingertip
+from planspace.tasks.task import TASKS, Task, find_task
 
 IDS = [task.env_id for task in TASKS.values()]
 

@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from planspace.envs.vector import TaskVectorEnv
 from planspace.errors import UsageError
-from planspace.tasks import TASKS
+from planspace.tasks.task import TASKS
 
 IDS = [task.env_id for task in TASKS.values()]
 MODES = list(AutoresetMode)

@@ -17,7 +17,7 @@ from planspace.embed.embedding import load_embedding
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.store import TEMPORARY_PREFIX
+from planspace.storage.files import TEMPORARY_PREFIX
 from planspace.study.design import Arm, Study
 from planspace.study.execute import WHOLE, folder_of, read_result
 from planspace.study.run import run_study

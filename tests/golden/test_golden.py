@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.embed.curves import read_log
-from planspace.repair import repair
+from planspace.cli.repair import repair
+from planspace.figures.training_curves import read_log
 
 from .make import read
 

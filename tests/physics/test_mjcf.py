@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.mjcf import read_model
-from planspace.physics.simulate import load_model
+from planspace.mjcf.compile import load_model
+from planspace.mjcf.read import read_model
 
 TWO_JOINTS = """<mujoco><worldbody>
   <body><joint name="a" type="hinge"/><geom name="ga" size="0.1"/>

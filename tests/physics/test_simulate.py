@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulate import Simulator, Validity, advance, load_model, replay
+from planspace.mjcf.compile import load_model
+from planspace.physics.simulate import Simulator, Validity, advance, replay
 from planspace.physics.space import StateSpace
-from planspace.tasks import TASKS
+from planspace.tasks.task import TASKS
 
 RELEASED_TOLERANCE = 1e-3
 RELEASED_STEPS = 50

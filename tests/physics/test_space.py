@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 from planspace.errors import UsageError
-from planspace.physics.simulate import load_model
+from planspace.mjcf.compile import load_model
 from planspace.physics.space import StateSpace
-from planspace.plan.problem_file import load_problem
-from planspace.tasks import TASKS
+from planspace.tasks.problem_file import load_problem
+from planspace.tasks.task import TASKS
 
 
 @pytest.fixture

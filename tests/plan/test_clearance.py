@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from planspace.physics.simulate import Simulator, load_model
+from planspace.mjcf.compile import load_model
+from planspace.physics.simulate import Simulator
 from planspace.plan import clearance as module
 from planspace.plan.clearance import REACH, Clearance, collidable_pairs
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem_file import load_problem
 
 
 @pytest.fixture(scope="module")

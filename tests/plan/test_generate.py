@@ -13,10 +13,10 @@ from planspace.plan import generate as module
 from planspace.plan.generate import generate
 from planspace.plan.planner import Failure, Planner, PlannerConfig
 from planspace.plan.polish import PolishConfig
-from planspace.plan.problem import Box
-from planspace.plan.problem_file import load_problem, shipped_problems
 from planspace.plan.regulator import Regulator
 from planspace.plan.sst import SSTConfig
+from planspace.tasks.problem import Box
+from planspace.tasks.problem_file import load_problem, shipped_problems
 
 from ..conftest import QUICK_PLANNER
 

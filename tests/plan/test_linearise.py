@@ -3,7 +3,7 @@ import pytest
 
 from planspace.physics.simulate import Simulator
 from planspace.plan import linearise
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem_file import load_problem
 
 
 def make(name: str, num: int = 16) -> Simulator:

@@ -13,8 +13,8 @@ from planspace.plan import ompl
 from planspace.plan.generate import generate
 from planspace.plan.ompl import CONTROL_PLANNERS, GEOMETRIC_PLANNERS, OMPLConfig, check_ompl, plan_in_process
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem import Box, Goal, Problem
-from planspace.plan.problem_file import load_problem
+from planspace.tasks.problem import Box, Goal, Problem
+from planspace.tasks.problem_file import load_problem
 
 needs_ompl = pytest.mark.skipif(importlib.util.find_spec("ompl") is None, reason="needs the extra ompl")
 

@@ -7,10 +7,10 @@ from planspace.physics.simulate import Simulator
 from planspace.plan.clearance import Clearance
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import Polish, PolishConfig
-from planspace.plan.problem import Goal, Problem
-from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
+from planspace.tasks.problem import Goal, Problem
+from planspace.tasks.problem_file import load_problem
 
 
 def make(problem: Problem) -> Simulator:

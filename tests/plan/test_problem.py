@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulate import ASSETS, Simulator
+from planspace.mjcf.compile import ASSETS
+from planspace.physics.simulate import Simulator
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem import Box
-from planspace.plan.problem_file import load_problem, shipped_problems
 from planspace.plan.sst import SSTConfig
+from planspace.tasks.problem import Box
+from planspace.tasks.problem_file import load_problem, shipped_problems
 
 GOOD = (ASSETS / "cartpole-swingup.yaml").read_text()
 

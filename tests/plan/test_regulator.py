@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Goal
-from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
+from planspace.tasks.problem import Goal
+from planspace.tasks.problem_file import load_problem
 
 WEIGHTS = np.array([1.0, 1.0, 0.3, 0.1])
 

@@ -7,11 +7,11 @@ import pytest
 
 from planspace.physics.simulate import Simulator
 from planspace.plan import tree as tree_module
-from planspace.plan.problem import IDLE_COST, Problem
-from planspace.plan.problem_file import load_problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, Search, SSTConfig
 from planspace.plan.tree import Tree
+from planspace.tasks.problem import IDLE_COST, Problem
+from planspace.tasks.problem_file import load_problem
 
 CONFIG = SSTConfig(extensions=256, min_rounds=4, max_rounds=40)
 HANGING = np.array([0.0, np.pi, 0.0, 0.0])

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.checkpoint import load_checkpoint, save_checkpoint
 from planspace.demos.convert import import_npz
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import DemoFolder, load_demos
@@ -18,7 +17,8 @@ from planspace.demos.npz_files import export_npz
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.store import append_rows, is_row
+from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
+from planspace.storage.files import append_rows, is_row
 from planspace.study.execute import _RUN, execute, is_done, read_result
 from planspace.study.run import open_results
 from planspace.study.unit import PlansUnit

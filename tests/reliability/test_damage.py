@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planspace.cli.repair import repair
 from planspace.demos.folder import load_demos
-from planspace.embed.curves import read_log
 from planspace.embed.embedding import load_embedding
 from planspace.errors import PlanspaceError
-from planspace.repair import repair
+from planspace.figures.training_curves import read_log
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.store import read_arrays, read_arrays_about, read_sealed
+from planspace.storage.files import read_arrays, read_arrays_about, read_sealed
 from planspace.study.execute import folder_of, read_result, result_file
 from planspace.study.run import run_study, units_to_run
 

@@ -17,13 +17,13 @@ from planspace.physics.simulate import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem import Problem
-from planspace.plan.problem_file import load_problem
 from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
 from planspace.rl.rollout import Rollout
-from planspace.store import read_arrays
-from planspace.tasks import Task, find_task
+from planspace.storage.files import read_arrays
+from planspace.tasks.problem import Problem
+from planspace.tasks.problem_file import load_problem
+from planspace.tasks.task import Task, find_task
 
 LONG_STEP_S = 1e6
 

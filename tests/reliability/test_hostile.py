@@ -26,14 +26,14 @@ from planspace.demos.describe import validate
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics import apart
-from planspace.physics.apart import compile_apart
-from planspace.physics.guard import parse_model
-from planspace.physics.mjcf import read_model
-from planspace.plan.problem_file import load_problem
+from planspace.mjcf import subprocess_model as apart
+from planspace.mjcf.model_check import parse_model
+from planspace.mjcf.read import read_model
+from planspace.mjcf.subprocess_model import compile_apart
 from planspace.rl.play import make_env
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.store import file_hash, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.storage.files import file_hash, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.tasks.problem_file import load_problem
 
 Read = Callable[[], Any]
 Change = Callable[[dict[str, Any]], object]
@@ -652,7 +652,7 @@ def test_problems_that_do_harm(trick: str, models: Path, tmp_path: Path) -> None
 def test_names_stay_text_in_a_page_of_paths(embedding: Embedding, demos: Demos) -> None:
     from dataclasses import replace
 
-    from planspace.embed.plot import paths_html
+    from planspace.figures.embedding import paths_html
 
     evil = "</script><script>alert(1)</script>"
     names = (evil, *demos.info.names[1:])

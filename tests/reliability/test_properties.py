@@ -20,22 +20,21 @@ from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from planspace.checkpoint import FILE as CHECKPOINT
-from planspace.checkpoint import load_checkpoint, save_checkpoint
+from planspace.cli.repair import repair
 from planspace.demos.convert import ImportOptions, import_demos
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.demos.minari import write_minari
-from planspace.embed.curves import read_log
 from planspace.embed.embedding import load_embedding
 from planspace.errors import PlanspaceError
-from planspace.physics.mjcf import read_model
-from planspace.physics.simulate import ASSETS
-from planspace.plan.problem_file import _StrictLoader, load_problem
-from planspace.repair import repair
+from planspace.figures.training_curves import read_log
+from planspace.mjcf.compile import ASSETS
+from planspace.mjcf.read import read_model
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.store import (
+from planspace.storage.checkpoint import FILE as CHECKPOINT
+from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
+from planspace.storage.files import (
     append_rows,
     file_hash,
     json_hash,
@@ -45,6 +44,7 @@ from planspace.store import (
     write_arrays,
     write_sealed,
 )
+from planspace.tasks.problem_file import _StrictLoader, load_problem
 
 from .disk import FAULTS, Dead, Fault, FaultyDisk, Interrupted
 from .test_damage import assert_found, files_of

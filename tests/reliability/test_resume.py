@@ -27,10 +27,10 @@ from planspace.embed.fit import fit
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.plan import generate as generate_module
 from planspace.plan.generate import generate
-from planspace.plan.problem_file import load_problem
 from planspace.rl import train as rl_training
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig, ZMode
-from planspace.store import read_arrays, read_sealed, write_sealed
+from planspace.storage.files import read_arrays, read_sealed, write_sealed
+from planspace.tasks.problem_file import load_problem
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
 

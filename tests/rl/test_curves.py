@@ -1,6 +1,6 @@
 import numpy as np
 
-from planspace.rl.curves import SMOOTHING, learning_curve, plot_curves, smoothed
+from planspace.figures.learning_curves import SMOOTHING, learning_curve, plot_curves, smoothed
 
 
 def test_smoothing_by_hand() -> None:

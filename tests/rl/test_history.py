@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from planspace.cli import main
+from planspace.cli.repair import repair
 from planspace.errors import PlanspaceError
-from planspace.repair import repair
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
 from planspace.rl.train import train
-from planspace.store import Arrays, read_arrays, write_arrays
+from planspace.storage.files import Arrays, read_arrays, write_arrays
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
 LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {

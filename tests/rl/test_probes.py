@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from planspace.envs.batch import TaskBatch
-from planspace.rewards import never
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
 from planspace.rl.observe import Observer
-from planspace.tasks import TASKS, Task
+from planspace.tasks.rewards import never
+from planspace.tasks.task import TASKS, Task
 
 ARMS: list[tuple[Algo, RLPreset]] = [
     ("trpo", "paper"),

@@ -14,7 +14,7 @@ from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.play import make_env, play
 from planspace.rl.rollout import Actor
-from planspace.store import read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.storage.files import read_arrays, read_sealed, write_arrays, write_sealed
 
 ARMS = {
     "plain": {},

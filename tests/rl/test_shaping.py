@@ -13,7 +13,7 @@ from planspace.errors import UsageError
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.shaping import Shaping
 from planspace.rl.train import train
-from planspace.tasks import TASKS
+from planspace.tasks.task import TASKS
 
 CONFIG = TrainConfig(
     "cartpole-swingup", obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS

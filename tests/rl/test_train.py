@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from planspace import load_policy
-from planspace.checkpoint import FILE
 from planspace.cli import main
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.envs.batch import TaskBatch
@@ -28,8 +27,9 @@ from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
 from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first_returns
 from planspace.rl.train import train
-from planspace.store import read_arrays_about
-from planspace.tasks import TASKS, Task
+from planspace.storage.checkpoint import FILE
+from planspace.storage.files import read_arrays_about
+from planspace.tasks.task import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
 

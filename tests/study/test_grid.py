@@ -4,10 +4,10 @@ import pytest
 
 from planspace.embed.config import PRESETS
 from planspace.errors import UsageError
-from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.study.grid import BUDGETS, STUDIES, make_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
+from planspace.tasks.problem_file import load_problem
 
 PLANS = PlansUnit("cartpole-swingup", 20)
 FIT = FitUnit(PLANS, PRESETS["modern"])

@@ -12,13 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.cores import WORKER_ENVIRONMENT, count_cores
 from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
-from planspace.store import write_sealed
+from planspace.storage.files import write_sealed
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim
 from planspace.study.execute import folder_of, is_done, read_result, result_file
@@ -28,6 +26,8 @@ from planspace.study.run import failures, open_results, run_study, units_to_run
 from planspace.study.stats import Scores
 from planspace.study.summary import Findings, as_text, read_findings, summarise
 from planspace.study.unit import PolicyUnit, Unit
+from planspace.tasks.problem_file import load_problem
+from planspace.workers import WORKER_ENVIRONMENT, count_cores
 
 from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
 
@@ -158,7 +158,7 @@ def test_a_killed_worker_is_named_so_when_it_is_given_up(tmp_path: Path) -> None
 
 
 def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
-    from planspace.store import locked
+    from planspace.storage.files import locked
 
     with locked(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
         run_study(TINY, copied)

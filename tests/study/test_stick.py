@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.physics.simulate import ASSETS
-from planspace.study.stick import FRAMES, stick_film
-from planspace.tasks import TASKS
+from planspace.mjcf.compile import ASSETS
+from planspace.study.stick_figure import FRAMES, stick_film
+from planspace.tasks.task import TASKS
 
 
 def episode(task_name: str, states: np.ndarray) -> Demos:

@@ -25,7 +25,7 @@ from planspace.demos.recording import Imported, ImportOptions, refuse
 from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
 from planspace.errors import PlanspaceError, UsageError, printable
 from planspace.progress import shown
-from planspace.store import (
+from planspace.storage.files import (
     TEMPORARY_PREFIX,
     file_hash,
     json_hash,

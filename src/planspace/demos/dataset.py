@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import load_model
+from planspace.mjcf.compile import load_model
 from planspace.physics.space import StateSpace
-from planspace.store import json_hash
+from planspace.storage.files import json_hash
 
 SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
 """Shares of the demonstrations; the rest is the test split."""

@@ -9,7 +9,7 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
 from planspace.errors import PlanspaceError
-from planspace.physics.apart import compile_apart
+from planspace.mjcf.subprocess_model import compile_apart
 from planspace.physics.simulate import replay
 from planspace.progress import shown
 

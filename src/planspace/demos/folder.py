@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos, Episode, StateInfo, check_info, content_hash, split
 from planspace.errors import PlanspaceError
-from planspace.store import (
+from planspace.storage.files import (
     check_file,
     damaged,
     differences,

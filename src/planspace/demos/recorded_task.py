@@ -11,9 +11,9 @@ from jaxtyping import Float
 from planspace.demos.dataset import StateInfo
 from planspace.demos.observations import flat
 from planspace.errors import PlanspaceError, UsageError
-from planspace.forms import OBS_FORMS, ObsForm
-from planspace.physics.simulate import ASSETS
-from planspace.tasks import TASKS, Task
+from planspace.mjcf.compile import ASSETS
+from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType
+from planspace.tasks.task import TASKS, Task
 
 STATE_KEY = "state"
 """Where the tasks put the planning state in `info`."""
@@ -81,7 +81,7 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
         return None
     settings, wrappers = spec.get("kwargs", {}), spec.get("additional_wrappers", [])
     obs = settings.get("obs", "raw") if isinstance(settings, dict) else None
-    form: ObsForm | None = next((form for form in OBS_FORMS if form == obs), None)
+    form: ObservationType | None = next((form for form in OBSERVATION_TYPES if form == obs), None)
     if form is None or not isinstance(wrappers, list) or not all(isinstance(w, dict) for w in wrappers):
         raise PlanspaceError(f"the environment's spec in the metadata of {dataset_id!r} is damaged.")
     model, space = task.compile()

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from planspace.demos.dataset import Demos, Episode
-from planspace.doctor import rendering_advice, rendering_backend
 from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.progress import progress
-from planspace.store import write_bytes
+from planspace.storage.files import write_bytes
 
 SUFFIXES = (".gif", ".mp4")
 BACKENDS = ("egl", "osmesa", "glfw", "cgl")

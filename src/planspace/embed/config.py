@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
-from planspace.embed.embedding import InputForm
+from planspace.embed.embedding import InputType
 from planspace.errors import UsageError
 
 PresetName = Literal["modern", "paper"]
@@ -58,7 +58,7 @@ class FitConfig:
     """Names of the states the encoder reads; none at all reads all of them."""
     z_dim: int = 3
     """Numbers in z; the paper has 3 and 10."""
-    inputs: InputForm = "trig"
+    inputs: InputType = "trig"
     """`raw` numbers, `standard` for standardised ones, or `trig` with sin and cos of circular angles."""
     hidden: tuple[int, ...] = PAPER_HIDDEN
     """Units of the hidden layers of encoder and decoder."""

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.support import Support
 from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.store import (
+from planspace.storage.files import (
     CONFIG,
     Arrays,
     make_folder,
@@ -45,8 +45,8 @@ blocks as small: a thread it had woken would spin on, on a core that the next st
 APART = 8
 """So many rows or more on the last axis of a batch with several are multiplied apart from the others."""
 
-InputForm = Literal["raw", "standard", "trig"]
-INPUT_FORMS: tuple[InputForm, ...] = get_args(InputForm)
+InputType = Literal["raw", "standard", "trig"]
+INPUT_TYPES: tuple[InputType, ...] = get_args(InputType)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Inputs:
     """Their units."""
     circular_columns: tuple[int, ...]
     """Which of them are angles on a circle [rad]."""
-    form: InputForm
+    form: InputType
     """`raw`, `standard` or `trig`."""
     mean: Float[np.ndarray, " input"]
     """Subtracted from each input; 0 where `raw`."""
@@ -77,7 +77,7 @@ class Inputs:
         names: Sequence[str],
         units: Sequence[str],
         circular_columns: Sequence[int],
-        form: InputForm,
+        form: InputType,
     ) -> "Inputs":
         """Reads the normaliser off training states.
 
@@ -393,7 +393,7 @@ def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
     return Embedding(
         inputs=Inputs(
             **{key: tuple(value) for key, value in inputs.items()},
-            form=INPUT_FORMS[INPUT_FORMS.index(text["inputs"]["form"])],
+            form=INPUT_TYPES[INPUT_TYPES.index(text["inputs"]["form"])],
             mean=arrays["mean"],
             deviation=arrays["deviation"],
         ),

@@ -22,7 +22,7 @@ from jaxtyping import Float
 import planspace
 from planspace.embed.embedding import Embedding, Turn
 from planspace.errors import PlanspaceError
-from planspace.store import make_folder, write_bytes
+from planspace.storage.files import make_folder, write_bytes
 
 OPSET, IR_VERSION = 17, 8
 """ONNX 1.12 (2022): old enough for the runtimes people have, and all that the graph needs."""

@@ -40,8 +40,8 @@ from planspace.embed.samples import Samples, make_samples
 from planspace.embed.support import Support
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError
-from planspace.store import append_rows, open_run, write_bytes
-from planspace.track import Tracker, open_tracker
+from planspace.storage.files import append_rows, open_run, write_bytes
+from planspace.storage.tracking import Tracker, open_tracker
 
 MEASURED = 20
 """How often during training the geometry on the validation split is logged."""

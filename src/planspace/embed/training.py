@@ -14,14 +14,14 @@ import numpy as np
 import optax
 from jaxtyping import Array, Int, Key
 
-from planspace.checkpoint import load_checkpoint, save_checkpoint
-from planspace.cores import count_cores
 from planspace.embed.config import FitConfig
 from planspace.embed.networks import PlanSpaceModel
 from planspace.embed.objectives import OBJECTIVES, Terms
 from planspace.embed.samples import Samples
 from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress
+from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
+from planspace.workers import count_cores
 
 CHUNK = 100
 """Least number of steps compiled into one call; between calls come progress, log and checkpoint."""

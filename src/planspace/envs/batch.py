@@ -4,15 +4,15 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from planspace.forms import RewardForm
 from planspace.physics.simulate import Simulator
-from planspace.tasks import Task
+from planspace.tasks.observation_types import RewardType
+from planspace.tasks.task import Task
 
 
 class TaskBatch:
     """`num` episodes of a task on one physics batch."""
 
-    def __init__(self, task: Task, num: int, *, threads: int = 0, reward: RewardForm = "dense"):
+    def __init__(self, task: Task, num: int, *, threads: int = 0, reward: RewardType = "dense"):
         """Starts the simulations; `reset` starts the episodes.
 
         Args:
@@ -25,7 +25,7 @@ class TaskBatch:
         if reward == "2020":
             model.actuator_ctrllimited[:] = False
         self.task = task
-        self.reward: RewardForm = reward
+        self.reward: RewardType = reward
         self.simulator = Simulator(model, space, num, threads=threads)
         self.states = np.zeros((num, space.size))
         """The state of each episode [env, state]."""

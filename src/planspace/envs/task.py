@@ -10,16 +10,16 @@ from gymnasium.spaces import Box
 from planspace.envs.batch import TaskBatch
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
-from planspace.forms import ObsForm
 from planspace.physics.space import StateSpace
-from planspace.tasks import Task, find_obs_form, find_reward_form, find_task
+from planspace.tasks.observation_types import ObservationType
+from planspace.tasks.task import Task, find_observation_type, find_reward_type, find_task
 
 
 class Described:
     """What the numbers of an environment's states and observations are."""
 
     task: Task
-    obs: ObsForm
+    obs: ObservationType
     _batch: TaskBatch
 
     @property
@@ -64,9 +64,9 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         """
         gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
         self.task = find_task(task)
-        self.obs = find_obs_form(obs)
+        self.obs = find_observation_type(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
-        self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_form(reward, self.task))
+        self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_type(reward, self.task))
         self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
         self._renderer = Renderer(self._batch)
@@ -134,7 +134,7 @@ def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
     return name
 
 
-def spaces_of(task: Task, obs: ObsForm, batch: TaskBatch) -> tuple[Box, Box]:
+def spaces_of(task: Task, obs: ObservationType, batch: TaskBatch) -> tuple[Box, Box]:
     """The spaces of observations and actions of one episode."""
     low, high = batch.simulator.model.actuator_ctrlrange.T.astype(np.float32)
     actions = Box(low, high)

@@ -20,7 +20,7 @@ from planspace.envs.task import (
     spaces_of,
 )
 from planspace.errors import UsageError, unknown
-from planspace.tasks import find_obs_form, find_reward_form, find_task
+from planspace.tasks.task import find_observation_type, find_reward_type, find_task
 
 MODES = tuple(mode.value for mode in AutoresetMode)
 
@@ -78,13 +78,13 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         if mode not in MODES:
             raise unknown("autoreset mode", mode, MODES)
         self.num_envs = num_envs
-        self.obs = find_obs_form(obs)
+        self.obs = find_observation_type(obs)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = AutoresetMode(mode)
         limit = self.task.horizon if max_episode_steps is None else max_episode_steps
         self.max_episode_steps = np.iinfo(int).max if limit == -1 else limit
         self._batch = TaskBatch(
-            self.task, num_envs, threads=threads, reward=find_reward_form(reward, self.task)
+            self.task, num_envs, threads=threads, reward=find_reward_type(reward, self.task)
         )
         self.metadata = {
             **self.metadata,

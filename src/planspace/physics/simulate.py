@@ -8,11 +8,8 @@ A kinematic space has no dynamics: there a control is the velocity of each degre
 the positions along it, and only contacts are computed.
 """
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import mujoco
@@ -20,11 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
-from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.physics.guard import check_self_contained
+from planspace.errors import PlanspaceError, UsageError
+from planspace.mjcf.compile import GeomPairs, stepping
 from planspace.physics.space import StateSpace
-
-ASSETS = Path(__file__).parent.parent / "assets"
 
 _WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -34,15 +29,10 @@ _WARNINGS = [
 ]
 
 
-MUJOCO_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
-"""What MuJoCo raises at a model that it does not take."""
-
 _POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_POS)
 
 MAX_REPEATS = 100_000
 """Steps between two recorded states."""
-
-GeomPairs = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
@@ -63,81 +53,6 @@ class Validity:
 
 FREE = Validity()
 """Nothing is forbidden."""
-
-
-def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
-    """Compiles an MJCF text which is whole, with MuJoCo's silent reset of diverged states switched off.
-
-    Args:
-        xml: the model.
-        watched: pairs of geoms whose contact is to be watched: each gets a contact sensor, the last ones of
-            the model, which does not change its dynamics.
-
-    Raises:
-        PlanspaceError: it refers to files, asks for too much, or MuJoCo does not accept it; the message is
-            then MuJoCo's.
-    """
-    check_self_contained(xml)
-    try:
-        with compiling():
-            if not watched:
-                model = mujoco.MjModel.from_xml_string(xml)
-            else:
-                spec = mujoco.MjSpec.from_string(xml)
-                _watch(spec, watched)
-                model = spec.compile()
-    except MUJOCO_ERRORS as error:
-        raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    return model
-
-
-def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
-    names = [geom.name for geom in spec.geoms if geom.name]
-    geom, found_once = mujoco.mjtObj.mjOBJ_GEOM, [1, 0, 1]  # data: found; no reduction; one contact
-    for number, pair in enumerate(pairs):
-        for name in pair:
-            if name not in names:
-                raise unknown("geom", name, names)
-        sensor = spec.add_sensor(name=f"planspace_watch_{number}", type=mujoco.mjtSensor.mjSENS_CONTACT)
-        sensor.objtype, sensor.objname, sensor.reftype, sensor.refname = geom, pair[0], geom, pair[1]
-        sensor.intprm = found_once
-
-
-@contextmanager
-def stepping() -> Iterator[None]:
-    """As `quiet`; where MuJoCo cannot go on, that is an error of ours.
-
-    Raises:
-        PlanspaceError: it has not enough memory for the model, or gives up for another reason.
-    """
-    with quiet():
-        try:
-            yield
-        except (RuntimeError, MemoryError, mujoco.FatalError) as error:
-            raise PlanspaceError(
-                f"MuJoCo cannot simulate the model: {' '.join(str(error).split())}"
-            ) from error
-
-
-@contextmanager
-def compiling() -> Iterator[None]:
-    """As `quiet`; MuJoCo's compiler warns by way of Python, too, in lines that quote the model's names."""
-    with quiet(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """What MuJoCo warns of is counted, and printed nowhere: physics that run away would fill the disk."""
-    before, silent = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    silent.logto_console = silent.logto_file = False
-    silent.set()
-    try:
-        yield
-    finally:
-        before.set()
 
 
 class Simulator:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from mujoco.batch import Batch
 
 from planspace.physics.space import StateSpace
-from planspace.plan.problem import Problem
+from planspace.tasks.problem import Problem
 
 REACH = 0.2
 """Distances are measured up to this [m]; further is as far."""

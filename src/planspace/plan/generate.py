@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 
 import planspace
-from planspace.cores import count_cores, end_with_parent, worker_environment
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.folder import DemoFolder
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulate import Simulator
 from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
-from planspace.plan.problem import Problem
 from planspace.progress import progress
-from planspace.store import append_rows, read_bytes, refusing_nonsense
+from planspace.storage.files import append_rows, read_bytes, refusing_nonsense
+from planspace.tasks.problem import Problem
+from planspace.workers import count_cores, end_with_parent, worker_environment
 
 SHARD_EPISODES = 10
 """Plans a shard. A kill costs those since the last one; Ctrl-C and errors cost only plans under way."""

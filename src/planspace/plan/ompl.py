@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planspace.cores import end_with_parent
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Goal, Problem
+from planspace.tasks.problem import Goal, Problem
+from planspace.workers import end_with_parent
 
 if TYPE_CHECKING:
     from planspace.plan.sst import Search

@@ -11,7 +11,7 @@ from planspace.physics.angles import wrap
 from planspace.physics.simulate import FREE, Simulator, advance
 from planspace.physics.space import StateSpace
 from planspace.plan.ompl import CONTROL_PLANNERS, GEOMETRIC_PLANNERS, OMPLConfig
-from planspace.plan.problem import Goal, Problem
+from planspace.tasks.problem import Goal, Problem
 
 PROJECTION_DIMENSIONS = 3
 PROJECTION_CELLS = 20

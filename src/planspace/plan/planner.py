@@ -16,9 +16,9 @@ from planspace.physics.space import StateSpace
 from planspace.plan.clearance import Clearance
 from planspace.plan.ompl import OMPL_PLANNERS, OMPLConfig, plan_in_process
 from planspace.plan.polish import Polish, PolishConfig, Trajectory
-from planspace.plan.problem import Goal, Problem
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, Search, SSTConfig
+from planspace.tasks.problem import Goal, Problem
 
 MAX_ATTEMPTS = 3
 """A plan that fails is tried again from another start, this many times in all."""

@@ -23,7 +23,7 @@ from scipy.optimize import linprog
 from planspace.physics.simulate import Simulator
 from planspace.plan import linearise
 from planspace.plan.clearance import Clearance
-from planspace.plan.problem import Goal
+from planspace.tasks.problem import Goal
 
 SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.02, 0.005])
 """Shares of a change that are simulated side by side."""

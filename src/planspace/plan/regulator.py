@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from planspace.physics.simulate import Simulator
 from planspace.plan import linearise
-from planspace.plan.problem import Goal
+from planspace.tasks.problem import Goal
 
 DISCOUNTS = (1.0, 0.995)
 """A direction that neither matters nor can be controlled (a rod's turn about itself) has no finite cost; it

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Goal, Problem
 from planspace.plan.regulator import Regulator
 from planspace.plan.tree import Tree
+from planspace.tasks.problem import Goal, Problem
 
 
 @dataclass(frozen=True)

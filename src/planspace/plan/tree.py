@@ -5,7 +5,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from planspace.physics.simulate import Simulator
-from planspace.plan.problem import Problem
+from planspace.tasks.problem import Problem
 
 NEIGHBOURS = 8
 """Best-near selection looks at this many neighbours."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from planspace.errors import UsageError, unknown
-from planspace.forms import ObsForm, RewardForm
+from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
 """Steps an iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
@@ -15,7 +15,7 @@ RLPreset = Literal["paper", "modern"]
 CriticName = Literal["linear", "mlp"]
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
-ShapingForm = Literal["none", "z", "raw"]
+ShapingType = Literal["none", "z", "raw"]
 
 
 @dataclass(frozen=True)
@@ -134,15 +134,15 @@ class TrainConfig:
     """The task's name."""
     algo: Algo = "trpo"
     """The algorithm."""
-    obs: ObsForm = "raw"
+    obs: ObservationType = "raw"
     """`raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with sin and cos of its angles."""
     z: ZMode = "none"
     """`none`, `augment`: the observation with z appended, `replace`: z alone."""
     z_to: ZTarget = "both"
     """Who sees z."""
-    reward: RewardForm = "dense"
+    reward: RewardType = "dense"
     """The form of reward."""
-    shaping: ShapingForm = "none"
+    shaping: ShapingType = "none"
     """What coming nearer to the goal is rewarded by, beside the task's reward: distance in `z`, or between
     `raw` states; potential-based, so that the best policy stays what it was."""
     shaping_scale: float = 10.0
@@ -171,11 +171,11 @@ class TrainConfig:
         names = {
             "algo": Algo,
             "preset": RLPreset,
-            "obs": ObsForm,
+            "obs": ObservationType,
             "z": ZMode,
             "z_to": ZTarget,
-            "reward": RewardForm,
-            "shaping": ShapingForm,
+            "reward": RewardType,
+            "shaping": ShapingType,
         }
         for name, known in names.items():
             if getattr(self, name) not in get_args(known):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.store import Arrays, read_arrays, refusing_nonsense
+from planspace.storage.files import Arrays, read_arrays, refusing_nonsense
 
 HISTORY = "history.safetensors"
 HISTORY_KEYS = (

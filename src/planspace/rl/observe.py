@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
-from planspace.forms import ObsForm
 from planspace.rl.config import ZMode, ZTarget
-from planspace.tasks import Task
+from planspace.tasks.observation_types import ObservationType
+from planspace.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Observer:
     """States and targets to observations, and the columns of them that policy and critic read."""
 
     task: Task
-    obs: ObsForm
+    obs: ObservationType
     z: ZMode
     z_to: ZTarget
     embeddings: tuple[Embedding, ...] = ()

@@ -6,9 +6,9 @@ from jaxtyping import Float
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.envs.wrappers import PlanSpaceObservation
-from planspace.physics.simulate import ASSETS
+from planspace.mjcf.compile import ASSETS
 from planspace.rl.saved_policy import Policy
-from planspace.tasks import find_task
+from planspace.tasks.task import find_task
 
 
 def make_env(policy: Policy) -> gymnasium.Env:

@@ -15,11 +15,10 @@ from jaxtyping import Float
 
 from planspace.envs import ENVIRONMENTS
 from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.forms import OBS_FORMS, RewardForm
 from planspace.rl.config import ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Stack
-from planspace.store import (
+from planspace.storage.files import (
     Arrays,
     read_arrays,
     read_described,
@@ -27,14 +26,15 @@ from planspace.store import (
     write_arrays,
     write_sealed,
 )
+from planspace.tasks.observation_types import OBSERVATION_TYPES, RewardType
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
 MAX_OBS = 100_000
 """Numbers in an observation; a file that says more is not believed."""
 FORMS = {
-    "obs": OBS_FORMS,
-    "reward": get_args(RewardForm),
+    "obs": OBSERVATION_TYPES,
+    "reward": get_args(RewardType),
     "z": get_args(ZMode),
     "z_to": get_args(ZTarget),
 }

@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
-from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
-from planspace.tasks import Task, find_task
+from planspace.tasks.problem_file import load_problem
+from planspace.tasks.task import Task, find_task
 
 NUM_STARTS = 1000
 """d_0 is a mean over so many starts."""

@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 import planspace
-from planspace.checkpoint import load_checkpoint, save_checkpoint
-from planspace.cores import count_cores
 from planspace.embed.embedding import DESCRIPTION, Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
@@ -38,9 +36,11 @@ from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.rl.shaping import Shaping
-from planspace.store import Arrays, append_rows, open_run, write_arrays
-from planspace.tasks import Task, find_reward_form, find_task
-from planspace.track import TrackerName, open_trackers
+from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
+from planspace.storage.files import Arrays, append_rows, open_run, write_arrays
+from planspace.storage.tracking import TrackerName, open_trackers
+from planspace.tasks.task import Task, find_reward_type, find_task
+from planspace.workers import count_cores
 
 CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
@@ -107,7 +107,7 @@ def train(
         UsageError: the parts of the arm do not fit.
     """
     task = find_task(config.task)
-    find_reward_form(config.reward, task)
+    find_reward_type(config.reward, task)
     given = tuple(embeddings)
     dealt = _dealt(given, config)
     seen = dealt if config.z != "none" else ()

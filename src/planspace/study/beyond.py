@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from planspace.embed.config import PRESETS, ObjectiveName
-from planspace.embed.embedding import InputForm
-from planspace.forms import RewardForm
-from planspace.rl.config import Algo, ShapingForm, TrainConfig
+from planspace.embed.embedding import InputType
+from planspace.rl.config import Algo, ShapingType, TrainConfig
 from planspace.study.design import BLOCK, PROBLEMS, Arm, Builder, Claim, Study, panel_of
 from planspace.study.paper import RAW
 from planspace.study.unit import PlansUnit
+from planspace.tasks.observation_types import RewardType
 
 SWING_UP = "cartpole-swingup"
 
@@ -90,14 +90,14 @@ def _better(panel: str, text: str, arm: str, other: str) -> Claim:
 
 WOUND, SST, POLISHED = "wound up", "SST", "SST + polish"
 COUNTS = (20, 100, 500)
-INPUTS: dict[str, InputForm] = {"raw inputs": "raw", "sin/cos inputs": "trig"}
+INPUTS: dict[str, InputType] = {"raw inputs": "raw", "sin/cos inputs": "trig"}
 EACH = 5
 """Policies for each embedding."""
 
 
 def demos(budget: str, grid: Builder) -> Study:
     """One preset on every set of demonstrations, five embeddings each, five policies for each of them."""
-    panels: dict[str, InputForm] = {
+    panels: dict[str, InputType] = {
         f"{panel_of(SWING_UP, 'trpo')}, {inputs}": form for inputs, form in INPUTS.items()
     }
     return Study(
@@ -110,7 +110,7 @@ def demos(budget: str, grid: Builder) -> Study:
     )
 
 
-def _demo_arms(panel: str, form: InputForm, grid: Builder) -> Iterator[Arm]:
+def _demo_arms(panel: str, form: InputType, grid: Builder) -> Iterator[Arm]:
     base, config = TrainConfig(SWING_UP), PRESETS["modern"].changed(inputs=form)
     seeds = EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
     yield grid.arm(panel, RAW, base, seeds=seeds)
@@ -141,15 +141,15 @@ def _demo_claims(panel: str) -> Iterator[Claim]:
 # --- shaping --------------------------------------------------------------------------------------------
 
 UNSHAPED, SHAPED_BY_Z = "unshaped", "shaped by z"
-SHAPINGS: dict[str, ShapingForm] = {UNSHAPED: "none", SHAPED_BY_Z: "z", "shaped by raw distance": "raw"}
-REWARDS: tuple[RewardForm, ...] = ("dense", "sparse")
+SHAPINGS: dict[str, ShapingType] = {UNSHAPED: "none", SHAPED_BY_Z: "z", "shaped by raw distance": "raw"}
+REWARDS: tuple[RewardType, ...] = ("dense", "sparse")
 SHAPING_SCALE = 100.0
 """What the way from a mean start to the goal is worth: a seventh of what lies between idle and solved."""
 
 
 def shaping(budget: str, grid: Builder) -> Study:
     """Potential-based shaping by distance in z, by raw distance, and none; dense and sparse reward."""
-    panels: dict[str, RewardForm] = {f"{panel_of(SWING_UP, 'trpo')}, {r} reward": r for r in REWARDS}
+    panels: dict[str, RewardType] = {f"{panel_of(SWING_UP, 'trpo')}, {r} reward": r for r in REWARDS}
     return Study(
         "shaping",
         budget,
@@ -165,7 +165,7 @@ def shaping(budget: str, grid: Builder) -> Study:
     )
 
 
-def _shaping_arms(panel: str, reward: RewardForm, grid: Builder) -> Iterator[Arm]:
+def _shaping_arms(panel: str, reward: RewardType, grid: Builder) -> Iterator[Arm]:
     fits = grid.fits(grid.plans(PROBLEMS[SWING_UP]), PRESETS["modern"])
     plain = TrainConfig(SWING_UP, obs="trig", reward=reward)
     for label, form in SHAPINGS.items():

@@ -19,12 +19,12 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from planspace.cores import WORKER_ENVIRONMENT, available_cores
 from planspace.errors import PlanspaceError, UsageError
-from planspace.store import differences, json_hash, locked, make_folder, read_bytes, write_bytes
+from planspace.storage.files import differences, json_hash, locked, make_folder, read_bytes, write_bytes
 from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
 from planspace.study.pool import REFRESH_S, named
 from planspace.study.unit import Unit
+from planspace.workers import WORKER_ENVIRONMENT, available_cores
 
 Files = dict[str, bytes]
 

@@ -18,25 +18,25 @@ import mujoco
 import numpy as np
 
 import planspace
-from planspace.compiled import keep_compiled
-from planspace.cores import count_cores
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
-from planspace.embed.curves import read_log
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit
-from planspace.embed.plot import principal
 from planspace.errors import PartialResult, PlanspaceError
+from planspace.figures.embedding import principal
+from planspace.figures.training_curves import read_log
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
-from planspace.store import make_folder, read_described, write_bytes, write_sealed
-from planspace.study.stick import stick_film
+from planspace.storage.compiled import keep_compiled
+from planspace.storage.files import make_folder, read_described, write_bytes, write_sealed
+from planspace.study.plans_2020 import wound_plans
+from planspace.study.stick_figure import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
-from planspace.study.wound import wound_plans
+from planspace.tasks.problem_file import load_problem
+from planspace.workers import count_cores
 
 SCHEMA = 1
 VERSIONS = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}

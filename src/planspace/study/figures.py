@@ -9,11 +9,11 @@ import numpy as np
 import plotly.graph_objects as go
 
 from planspace.demos.dataset import Demos
-from planspace.demos.plot import COLOURMAP, time_left_scale
 from planspace.embed.embedding import Embedding
-from planspace.embed.plot import principal
-from planspace.figure import COLOURS
-from planspace.rl.curves import MAX_BANDS, STYLES, Curve
+from planspace.figures.demos import COLOURMAP, time_left_scale
+from planspace.figures.embedding import principal
+from planspace.figures.learning_curves import MAX_BANDS, STYLES, Curve
+from planspace.figures.style import COLOURS
 
 Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the share of seeds that reached more than each."""

@@ -14,11 +14,11 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from planspace.cores import available_cores, count_cores, end_with_parent, worker_environment
 from planspace.errors import PlanspaceError
-from planspace.store import read_json, write_json
+from planspace.storage.files import read_json, write_json
 from planspace.study.execute import execute
 from planspace.study.unit import Unit
+from planspace.workers import available_cores, count_cores, end_with_parent, worker_environment
 
 REFRESH_S = 1.0
 """How long a pool waits for something to happen."""

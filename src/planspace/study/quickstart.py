@@ -16,13 +16,13 @@ from planspace.embed.fit import fit
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.train import train
-from planspace.store import CONFIG, Arrays, open_run, read_json, refusing_nonsense, write_json
+from planspace.storage.files import CONFIG, Arrays, open_run, read_json, refusing_nonsense, write_json
 from planspace.study.quickstart_report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
-from planspace.tasks import find_task
+from planspace.tasks.problem_file import load_problem
+from planspace.tasks.task import find_task
 
 BudgetName = Literal["smoke", "small", "full"]
 NEAR_GOAL = 0.5

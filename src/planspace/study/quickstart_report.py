@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.demos.plot import plot_demos
 from planspace.embed.embedding import Embedding
-from planspace.embed.plot import interactive_paths
-from planspace.figure import save_figure
-from planspace.rl.curves import SMOOTHING, learning_curve, plot_curves
-from planspace.store import Arrays, make_folder
+from planspace.figures.demos import plot_demos
+from planspace.figures.embedding import interactive_paths
+from planspace.figures.learning_curves import SMOOTHING, learning_curve, plot_curves
+from planspace.figures.style import save_figure
+from planspace.storage.files import Arrays, make_folder
 from planspace.study.figures import interactive_curves, plain_layout, plot_paths
-from planspace.study.page import embedded, write_page
+from planspace.study.html import embedded, write_page
 
 FINAL_ITERATIONS = 10
 """The closing table averages each seed's return over this many last iterations."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from planspace.embed.curves import plot_training
 from planspace.errors import PlanspaceError
-from planspace.figure import save_figure
-from planspace.rl.curves import MAX_BANDS, SMOOTHING, Curve, learning_curve, plot_curves
-from planspace.store import CONFIG, make_folder, read_json, write_bytes
+from planspace.figures.learning_curves import MAX_BANDS, SMOOTHING, Curve, learning_curve, plot_curves
+from planspace.figures.style import save_figure
+from planspace.figures.training_curves import plot_training
+from planspace.storage.files import CONFIG, make_folder, read_json, write_bytes
 from planspace.study import stats
 from planspace.study.design import Arm
 from planspace.study.execute import KEPT_EVERY
@@ -26,7 +26,7 @@ from planspace.study.figures import (
     plot_reached,
     plot_spaces,
 )
-from planspace.study.page import embedded, write_page
+from planspace.study.html import embedded, write_page
 from planspace.study.summary import Findings, named_fits, summarise
 from planspace.study.unit import FitUnit
 

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from planspace.cores import count_cores
 from planspace.progress import progress
-from planspace.store import TEMPORARY_PREFIX, locked, make_folder, open_run
+from planspace.storage.files import TEMPORARY_PREFIX, locked, make_folder, open_run
 from planspace.study.design import Study
+from planspace.study.eta import Pace
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
-from planspace.study.pace import Pace
 from planspace.study.pool import LocalPool, Pool
 from planspace.study.unit import Unit
+from planspace.workers import count_cores
 
 ATTEMPTS = 2
 """A unit that failed is tried again once, after the others."""

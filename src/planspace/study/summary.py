@@ -13,8 +13,8 @@ import numpy as np
 from planspace.rl.config import BATCH_STEPS
 from planspace.study import stats
 from planspace.study.design import SPREADS, Arm, Claim, Study
+from planspace.study.eta import Pace
 from planspace.study.execute import is_done, read_result
-from planspace.study.pace import Pace
 from planspace.study.stats import Scores, Verdict
 from planspace.study.unit import FitUnit, PlansUnit, Unit
 

@@ -10,9 +10,9 @@ from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
 
 from planspace.embed.config import FitConfig
-from planspace.plan.problem_file import load_problem
 from planspace.rl.config import TrainConfig
-from planspace.store import json_hash
+from planspace.storage.files import json_hash
+from planspace.tasks.problem_file import load_problem
 
 PlanSource = Literal["plan", "2020"]
 

@@ -19,8 +19,8 @@ from planspace.demos.folder import DemoFolder
 from planspace.errors import PlanspaceError
 from planspace.physics.simulate import Simulator
 from planspace.plan.generate import SHARD_EPISODES, state_info
-from planspace.plan.problem import Problem
 from planspace.progress import progress
+from planspace.tasks.problem import Problem
 
 PROBLEM = "cartpole-swingup"
 """Whose states are (x, theta, xdot, thetadot)."""

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, unknown
-from planspace.physics.demands import check_demands
-from planspace.physics.guard import FILE_ATTRIBUTES, check_assets, parse_model
-from planspace.physics.simulate import MUJOCO_ERRORS, compiling
-from planspace.store import read_bytes
+from planspace.mjcf.compile import MUJOCO_ERRORS, compiling
+from planspace.mjcf.model_budget import check_demands
+from planspace.mjcf.model_check import FILE_ATTRIBUTES, check_assets, parse_model
+from planspace.storage.files import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
 

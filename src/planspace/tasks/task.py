@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.errors import unknown
-from planspace.forms import OBS_FORMS, ObsForm, RewardForm
+from planspace.mjcf.compile import ASSETS, load_model
 from planspace.physics import quaternion
 from planspace.physics.angles import wrap
-from planspace.physics.simulate import ASSETS, load_model
 from planspace.physics.space import StateSpace
-from planspace.rewards import (
+from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType
+from planspace.tasks.rewards import (
     Pose,
     balance_reward,
     fingertip,
@@ -81,7 +81,7 @@ class Task:
     """Whether a target is drawn for each episode."""
 
     @property
-    def reward_forms(self) -> tuple[RewardForm, ...]:
+    def reward_types(self) -> tuple[RewardType, ...]:
         """The forms of reward it has."""
         return ("dense", "sparse") if self.reward_2020 is None else ("dense", "sparse", "2020")
 
@@ -106,7 +106,7 @@ class Task:
 
     def observe_as(
         self,
-        form: ObsForm,
+        form: ObservationType,
         states: Float[np.ndarray, "env state"],
         targets: Float[np.ndarray, "env target"],
     ) -> Float[np.ndarray, "env obs"]:
@@ -122,7 +122,7 @@ class Task:
 
     def reward_as(
         self,
-        form: RewardForm,
+        form: RewardType,
         before: Float[np.ndarray, "env state"],
         after: Float[np.ndarray, "env state"],
         control: Float[np.ndarray, "env control"],
@@ -135,7 +135,7 @@ class Task:
             return self.reward_2020(before, after, control, targets)
         return self.reward(before, after, control, targets)
 
-    def fields(self, form: ObsForm) -> dict[str, str]:
+    def fields(self, form: ObservationType) -> dict[str, str]:
         """Name and unit of each number of an observation, in order."""
         own = dict(self.obs_fields)
         if form == "trig":
@@ -368,22 +368,22 @@ def find_task(name: str) -> Task:
     return TASKS[name]
 
 
-def find_obs_form(name: str) -> ObsForm:
+def find_observation_type(name: str) -> ObservationType:
     """The form of observation of a name.
 
     Raises:
         UsageError: there is none.
     """
-    return _find("form of observation", name, OBS_FORMS)
+    return _find("form of observation", name, OBSERVATION_TYPES)
 
 
-def find_reward_form(name: str, task: Task) -> RewardForm:
+def find_reward_type(name: str, task: Task) -> RewardType:
     """The form of reward of a name.
 
     Raises:
         UsageError: the task has none of that name.
     """
-    return _find(f"form of reward of {task.name}", name, task.reward_forms)
+    return _find(f"form of reward of {task.name}", name, task.reward_types)
 
 
 def _find(what: str, name: str, forms: tuple[Form, ...]) -> Form:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, BinaryIO, Literal
 
 from planspace.errors import PlanspaceError
-from planspace.store import make_folder, read_bytes, write_bytes
+from planspace.storage.files import make_folder, read_bytes, write_bytes
 
 TrackerName = Literal["tensorboard", "wandb"]
 AddScalars = Callable[[int, Mapping[str, float]], None]

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
+from planspace.mjcf.compile import ASSETS, load_model
 from planspace.physics.angles import wrap
-from planspace.physics.simulate import ASSETS, load_model
 from planspace.physics.space import StateSpace
 
 UPRIGHT = 0.1

@@ -9,8 +9,8 @@ import matplotlib.figure
 import numpy as np
 from jaxtyping import Float, Int
 
-from planspace.figure import COLOURS
-from planspace.store import Arrays
+from planspace.figures.style import COLOURS
+from planspace.storage.files import Arrays
 
 SMOOTHING = 10
 """Iterations in the moving average of a learning curve."""

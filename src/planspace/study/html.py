@@ -8,8 +8,8 @@ import plotly.graph_objects as go
 import plotly.io
 import plotly.offline
 
-from planspace.embed.plot import PLOTLY_CONFIG
-from planspace.store import write_bytes
+from planspace.figures.embedding import PLOTLY_CONFIG
+from planspace.storage.files import write_bytes
 
 TEMPLATES = Path(__file__).parent / "templates"
 

@@ -13,12 +13,13 @@ import numpy as np
 import yaml
 
 from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.physics.apart import read_model_apart
-from planspace.physics.mjcf import read_model
-from planspace.physics.simulate import ASSETS, GeomPairs, Simulator, control_bounds, load_model
+from planspace.mjcf.compile import ASSETS, GeomPairs, load_model
+from planspace.mjcf.read import read_model
+from planspace.mjcf.subprocess_model import read_model_apart
+from planspace.physics.simulate import Simulator, control_bounds
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
-from planspace.plan.problem import Box, Problem
-from planspace.store import read_bytes
+from planspace.storage.files import read_bytes
+from planspace.tasks.problem import Box, Problem
 
 ReadModel = Callable[[Path, Sequence[str] | None], str]
 

@@ -17,8 +17,8 @@ from matplotlib.collections import LineCollection
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from planspace.demos.dataset import Demos
-from planspace.demos.plot import COLOURMAP, time_left_scale
 from planspace.embed.embedding import Embedding
+from planspace.figures.demos import COLOURMAP, time_left_scale
 
 MAX_DRAWN = 100
 """More paths than this are a blot; the first ones are drawn."""

@@ -2,11 +2,11 @@
 
 from typing import Literal, get_args
 
-RewardForm = Literal["dense", "sparse", "2020"]
+RewardType = Literal["dense", "sparse", "2020"]
 """`dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere; `2020`: the swing-up's as the code of
 2020 had it, forces without limit."""
 
-ObsForm = Literal["raw", "wrapped", "trig"]
+ObservationType = Literal["raw", "wrapped", "trig"]
 """`raw`: what the task observes, angles as they are; `wrapped`: the same with angles on a circle brought to
 (-pi, pi]; `trig`: raw with sin and cos of its angles."""
-OBS_FORMS: tuple[ObsForm, ...] = get_args(ObsForm)
+OBSERVATION_TYPES: tuple[ObservationType, ...] = get_args(ObservationType)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.store import make_folder, read_arrays_about, write_arrays
+from planspace.storage.files import make_folder, read_arrays_about, write_arrays
 
 Tree = TypeVar("Tree")
 

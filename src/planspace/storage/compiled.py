@@ -9,7 +9,7 @@ from pathlib import Path
 
 import jax
 
-from planspace.cores import CPU_INFO, count_cores
+from planspace.workers import CPU_INFO, count_cores
 
 KEPT_S = 30 * 24 * 3600
 """Older programs are removed; what is in use still is compiled once more."""

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from planspace import checkpoint
 from planspace.demos import folder as demo_folder
 from planspace.embed import embedding
 from planspace.errors import PlanspaceError
 from planspace.rl import history, saved_policy
-from planspace.store import is_row, move, read_arrays, read_bytes, read_sealed, remove, write_bytes
+from planspace.storage import checkpoint
+from planspace.storage.files import is_row, move, read_arrays, read_bytes, read_sealed, remove, write_bytes
 
 PREFIX = "damaged-"
 CHECKS: dict[str, Callable[[Path], Any]] = {

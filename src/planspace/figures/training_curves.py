@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from planspace.embed.embedding import LOG
 from planspace.errors import PlanspaceError
-from planspace.figure import COLOURS
-from planspace.store import read_bytes
+from planspace.figures.style import COLOURS
+from planspace.storage.files import read_bytes
 
 WINDOW_SHARE, MIN_WINDOW = 0.05, 3
 """Rows of the log in the rolling mean: a share of all, and at least so many."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib
 import matplotlib.figure
 
-from planspace.store import write_bytes
+from planspace.storage.files import write_bytes
 
 COLOURS = ("#4477aa", "#228833", "#ee7733", "#aa3377", "#66ccee", "#bbbb33", "#775533", "#888888")
 """Told apart by colour-blind readers (after Paul Tol)."""

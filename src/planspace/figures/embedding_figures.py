@@ -6,12 +6,12 @@ import matplotlib.figure
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.embed.curves import plot_training, read_log
 from planspace.embed.embedding import LOG, Embedding
 from planspace.embed.measurement import split_of
-from planspace.embed.plot import paths_html, plot_distance_against_time, plot_paths
-from planspace.figure import save_figure
-from planspace.store import make_folder, refusing_nonsense, write_bytes
+from planspace.figures.embedding import paths_html, plot_distance_against_time, plot_paths
+from planspace.figures.style import save_figure
+from planspace.figures.training_curves import plot_training, read_log
+from planspace.storage.files import make_folder, refusing_nonsense, write_bytes
 
 
 def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) -> None:

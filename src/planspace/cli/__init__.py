@@ -16,11 +16,11 @@ import tyro
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from planspace.embed.config import Metric, ObjectiveName, PresetName
-from planspace.embed.embedding import InputForm
+from planspace.embed.embedding import InputType
 from planspace.errors import PartialResult, PlanspaceError, UsageError, printable, unknown
-from planspace.forms import ObsForm, RewardForm
-from planspace.rl.config import Algo, CriticName, RLPreset, ShapingForm, ZMode, ZTarget
-from planspace.track import TrackerName
+from planspace.rl.config import Algo, CriticName, RLPreset, ShapingType, ZMode, ZTarget
+from planspace.storage.tracking import TrackerName
+from planspace.tasks.observation_types import ObservationType, RewardType
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 PRESETS_OWN = "(default: the preset's)"
@@ -42,7 +42,7 @@ class Run:
 
     def __call__(self) -> None:
         """Runs it and prints the closing table."""
-        from planspace.compiled import keep_compiled
+        from planspace.storage.compiled import keep_compiled
         from planspace.study.quickstart import closing_table, run
 
         keep_compiled()
@@ -88,7 +88,7 @@ class Plan:
         """Plans and says what came of it."""
         from planspace.plan.generate import generate
         from planspace.plan.planner import PlannerConfig
-        from planspace.plan.problem_file import load_problem, shipped_problems
+        from planspace.tasks.problem_file import load_problem, shipped_problems
 
         if not self.problem:
             raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
@@ -165,9 +165,9 @@ class DemosPlot:
     def __call__(self) -> None:
         """Draws it."""
         from planspace.demos.folder import load_demos
-        from planspace.demos.plot import plot_demos
-        from planspace.figure import save_figure
-        from planspace.store import make_folder
+        from planspace.figures.demos import plot_demos
+        from planspace.figures.style import save_figure
+        from planspace.storage.files import make_folder
 
         print(save_figure(plot_demos(load_demos(self.folder)), make_folder(self.out), "demos"))
 
@@ -197,7 +197,7 @@ class DemosRender:
         """Films it."""
         from planspace.demos.folder import load_demos
         from planspace.demos.render import FilmConfig, render_demos
-        from planspace.physics.apart import compile_apart
+        from planspace.mjcf.subprocess_model import compile_apart
 
         config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
         demos = load_demos(self.folder)
@@ -240,7 +240,7 @@ class DemosImport:
         from planspace.demos.convert import import_demos
         from planspace.demos.recording import ImportOptions, assignments
         from planspace.plan.generate import state_info
-        from planspace.plan.problem_file import load_problem
+        from planspace.tasks.problem_file import load_problem
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)
         options = ImportOptions(states, controls, self.dt, self.as_recorded)
@@ -319,7 +319,7 @@ class Embed:
     whitening: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
     """How far z's directions are brought to the same size: 0 not at all, 1 all the way."""
     inputs: Annotated[
-        InputForm | None, arg(metavar="{raw,standard,trig}", help_behavior_hint=PRESETS_OWN)
+        InputType | None, arg(metavar="{raw,standard,trig}", help_behavior_hint=PRESETS_OWN)
     ] = None
     """raw: numbers as they are. standard: standardised, for plans of which windings are a part. trig: sin and
     cos of circular angles, then standardised."""
@@ -336,11 +336,11 @@ class Embed:
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
-        from planspace.compiled import keep_compiled
         from planspace.demos.folder import load_demos
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
         from planspace.embed.training import use_device
+        from planspace.storage.compiled import keep_compiled
 
         if min(self.z_dim, self.seeds) < 1 or self.seed < 0:
             raise UsageError("--z-dim and --seeds must be at least 1, --seed at least 0.")
@@ -402,14 +402,14 @@ class Measure:
         from planspace.demos.folder import load_demos
         from planspace.embed.embedding import load_embedding
         from planspace.embed.measurement import assess
-        from planspace.store import make_folder
+        from planspace.storage.files import make_folder
 
         demos, embedding = load_demos(self.demos), load_embedding(self.embedding)
         if self.plot is not None:
             make_folder(self.plot)
         found = assess(embedding, demos, self.truth)
         if self.plot is not None:
-            from planspace.study.portrait import draw_embedding
+            from planspace.figures.embedding_figures import draw_embedding
 
             draw_embedding(embedding, self.embedding, demos, self.plot)
             found["figures"] = str(self.plot)
@@ -457,16 +457,16 @@ class Train:
     preset: RLPreset = "paper"
     """paper: what the paper and the runs of 2020 did. modern: observations standardised as they come, what
     lies beyond the time limit counted; PPO by minibatches of steps."""
-    obs: ObsForm = "raw"
+    obs: ObservationType = "raw"
     """raw: the state as it is. wrapped: angles on a circle within (-pi, pi]. trig: raw with sin and cos of
     its angles beside it."""
     z: ZMode = "none"
     """augment: the observation and z. replace: z alone."""
     z_to: ZTarget = "both"
     """Who sees z."""
-    reward: RewardForm = "dense"
+    reward: RewardType = "dense"
     """sparse: 1 at the goal, 0 elsewhere. 2020: the swing-up's as the code of 2020 had it."""
-    shaping: ShapingForm = "none"
+    shaping: ShapingType = "none"
     """Reward coming nearer to the goal, too: by the distance in z, or between raw states. The returns that
     are reported are the task's own."""
     shaping_scale: Annotated[float, arg(metavar="X")] = 10.0
@@ -497,14 +497,14 @@ class Train:
 
     def __call__(self) -> None:
         """Trains and prints the returns at the end."""
-        from planspace.compiled import keep_compiled
         from planspace.embed.embedding import load_embedding
-        from planspace.figure import save_figure
+        from planspace.figures.learning_curves import learning_curve, plot_curves
+        from planspace.figures.style import save_figure
         from planspace.rl.config import TrainConfig
-        from planspace.rl.curves import learning_curve, plot_curves
         from planspace.rl.history import frozen_seeds
         from planspace.rl.train import num_episodes, train
-        from planspace.tasks import TASKS, find_task
+        from planspace.storage.compiled import keep_compiled
+        from planspace.tasks.task import TASKS, find_task
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
@@ -553,10 +553,10 @@ class Curves:
 
     def __call__(self) -> None:
         """Draws them."""
-        from planspace.figure import save_figure
-        from planspace.rl.curves import learning_curve, plot_curves
+        from planspace.figures.learning_curves import learning_curve, plot_curves
+        from planspace.figures.style import save_figure
         from planspace.rl.history import load_history
-        from planspace.store import make_folder
+        from planspace.storage.files import make_folder
 
         if not self.runs:
             raise UsageError("which runs? Give folders that `planspace train` made.")
@@ -685,7 +685,7 @@ class Repair:
 
     def __call__(self) -> None:
         """Prints what was damaged."""
-        from planspace.repair import repair
+        from planspace.cli.repair import repair
 
         lines = repair(self.folder)
         print("\n".join(map(printable, lines)) or f"nothing in {self.folder} is damaged.")
@@ -704,7 +704,7 @@ class Doctor:
 
     def __call__(self) -> None:
         """Prints the findings."""
-        from planspace.doctor import as_data, as_text, examine
+        from planspace.cli.doctor import as_data, as_text, examine
 
         findings = examine()
         print(json.dumps(as_data(findings), indent=2) if self.json else as_text(findings))

@@ -40,7 +40,7 @@ def compile_apart(xml: str) -> None:
 def _asked(question: dict[str, object], where: str) -> str:
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "planspace.physics.apart"],
+            [sys.executable, "-m", "planspace.mjcf.subprocess_model"],
             input=json.dumps({**question, "memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S}).encode(),
             capture_output=True,
             timeout=WALL_S,
@@ -65,8 +65,8 @@ def _answer() -> None:
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # MuJoCo may print
     _bound(question["memory_bytes"], question["cpu_s"])
-    from planspace.physics.mjcf import read_model
-    from planspace.physics.simulate import load_model
+    from planspace.mjcf.compile import load_model
+    from planspace.mjcf.read import read_model
 
     try:
         if "path" in question:

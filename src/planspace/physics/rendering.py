@@ -1,0 +1,44 @@
+"""Which OpenGL backend MuJoCo can render with on this machine."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+RENDER_PROBE = (
+    'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'
+    "</mujoco>'); r = mujoco.Renderer(m, 16, 16); r.update_scene(mujoco.MjData(m)); r.render()"
+)
+
+
+def rendering_backend() -> str | None:
+    """The first OpenGL backend MuJoCo can draw with here, named as in MUJOCO_GL, or None.
+
+    Each is tried in a process of its own: a bad GL driver may abort it.
+    """
+    for backend in _backends():
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        command = [sys.executable, "-c", RENDER_PROBE]
+        try:
+            done = subprocess.run(command, env=environment, capture_output=True, timeout=60, check=False)
+        except subprocess.TimeoutExpired:
+            continue
+        if done.returncode == 0:
+            return backend
+    return None
+
+
+def rendering_advice() -> str:
+    """What to do where no backend works."""
+    manager = "apt-get install libosmesa6" if shutil.which("apt-get") else "install OSMesa or an EGL driver"
+    chosen = os.environ.get("MUJOCO_GL")
+    first = "" if chosen is None else f"unset MUJOCO_GL, which asks for {chosen!r}; else "
+    return f"{first}{manager}, set MUJOCO_GL=osmesa"
+
+
+def _backends() -> list[str]:
+    if "MUJOCO_GL" in os.environ:
+        return [os.environ["MUJOCO_GL"]]
+    if sys.platform != "linux":
+        return ["cgl", "glfw"] if sys.platform == "darwin" else ["glfw"]
+    return ["glfw", "egl", "osmesa"] if os.environ.get("DISPLAY") else ["egl", "osmesa"]
