@@ -1,0 +1,132 @@
+"""The open seams: tasks, planners, objectives and algorithms that users write themselves.
+
+A seam is a protocol of methods. Whatever has these methods fits, shipped or not; nothing asks for a class or
+a name. By convention an implementation is a frozen dataclass whose fields are its settings, because then the
+command line offers each field as an option, and the files of a run record it.
+"""
+
+import hashlib
+import importlib
+import inspect
+import sys
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from planspace.errors import UsageError, quoted, unknown
+
+Seam = TypeVar("Seam")
+
+
+def load_object(where: str) -> Any:
+    """Import an object from the user's own code.
+
+    Only the command line calls this, with what the user typed. No file that planspace reads names code.
+
+    Args:
+        where: `module.py:NAME`, a path relative to the working directory, or `package.module:NAME`.
+
+    Raises:
+        UsageError: the file or the name does not exist, or importing the module fails.
+    """
+    module_name, _, name = where.rpartition(":")
+    if not module_name or not name:
+        raise UsageError(f"expected module.py:NAME, got {quoted(where)}.")
+    if module_name.endswith(".py"):
+        file = Path(module_name)
+        if not file.is_file():
+            raise UsageError(f"{module_name} does not exist, so {name} cannot be imported from it.")
+        folder, module_name = str(file.resolve().parent), file.stem
+        if folder not in sys.path:
+            sys.path.insert(0, folder)  # as `python module.py` does; worker processes inherit the path
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # whatever the user's module raises
+        raise UsageError(f"importing {module_name} failed: {type(error).__name__}: {error}") from error
+    if not hasattr(module, name):
+        names = [n for n in vars(module) if not n.startswith("_")]
+        raise unknown(f"name in {module_name}", name, names)
+    return getattr(module, name)
+
+
+def is_object_path(text: str) -> bool:
+    """Whether a command-line value has the form `module.py:NAME`."""
+    return ".py:" in text
+
+
+def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
+    """Check that an object has every method of a protocol.
+
+    Args:
+        given: the object that was handed over.
+        protocol: a runtime-checkable protocol, such as `Planner`.
+        page: the how-to page that explains it, such as `docs/howto/own-planner.md`.
+
+    Returns:
+        The object.
+
+    Raises:
+        UsageError: a class was given instead of an object, or a method is missing.
+    """
+    wanted = [
+        name for name in dir(protocol) if not name.startswith("_") and callable(getattr(protocol, name))
+    ]
+    what = protocol.__name__
+    if isinstance(given, type):
+        raise UsageError(
+            f"expected {article(what)}, got the class {given.__name__}: pass an instance. See {page}."
+        )
+    missing = [name for name in wanted if not callable(getattr(given, name, None))]
+    if missing:
+        raise UsageError(
+            f"{article(what).capitalize()} needs the methods {', '.join(wanted)}; {quoted(given)} has no "
+            f"{', '.join(missing)}. See {page}."
+        )
+    return given
+
+
+def article(noun: str) -> str:
+    """A noun with its indefinite article, for messages."""
+    return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
+
+
+def name_of(given: Any) -> str:
+    """The name of a seam object: its class attribute `name`, or where its class or function is defined."""
+    if isinstance(name := getattr(given, "name", None), str):
+        return name
+    kind = given if inspect.isroutine(given) else type(given)
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def plain_settings(value: Any) -> Any:
+    """Turn nested settings into plain data for JSON and hashing.
+
+    Dataclasses become mappings of their fields. A seam object also records its `name`, and one that is not
+    shipped records the SHA-256 of its source, so that changed code is a changed setting.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {f.name: plain_settings(getattr(value, f.name)) for f in fields(value)}
+        return _identity(value) | own
+    if isinstance(value, Mapping):
+        return {key: plain_settings(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_settings(item) for item in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return _identity(value, always=True)
+
+
+def _identity(value: Any, *, always: bool = False) -> dict[str, Any]:
+    """The name of a seam object, and of foreign code its hash; empty for a plain group of settings."""
+    kind = value if inspect.isroutine(value) else type(value)
+    shipped = kind.__module__.partition(".")[0] == "planspace"
+    if shipped and not (always or isinstance(getattr(kind, "name", None), str)):
+        return {}
+    if shipped:
+        return {"name": name_of(value)}
+    try:
+        source = inspect.getsource(kind)
+    except (OSError, TypeError):  # defined at a prompt
+        source = kind.__qualname__
+    return {"name": name_of(value), "source_sha256": hashlib.sha256(source.encode()).hexdigest()}
