@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from planspace import cli
+from planspace.cli.entry import main, parse
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -95,7 +95,7 @@ def run_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
         return
     if program == "planspace":
         quick = ["--steps", "20", "--batch", "16"] if arguments[0] == "embed" else []
-        assert cli.main([*arguments, *quick]) == 0, capsys.readouterr().err
+        assert main([*arguments, *quick]) == 0, capsys.readouterr().err
         return
     assert program == "python", f"who runs {line!r}?"
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
@@ -123,7 +123,7 @@ def assert_parses(words: list[str], line: str) -> None:
     if "..." in line or not any(word.startswith("--") for word in words):  # the name of a command
         words = [*words, "--help"]
     try:
-        cli._parse(words)
+        parse(words)
     except SystemExit as stop:
         assert not stop.code, line
 

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import importlib.util
+import json
 import platform
 import sys
 from dataclasses import dataclass
@@ -82,3 +83,16 @@ def _extra(name: str) -> Finding:
     missing = [m for m in modules if importlib.util.find_spec(m) is None]
     value = f"{'missing' if missing else 'found'} ({purpose})"
     return Finding(f"[{name}]", value, not missing, f"pip install 'planspace[{name}]'")
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say what is installed, what is missing, and what to do about it."""
+
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Prints the findings."""
+        findings = examine()
+        print(json.dumps(as_data(findings), indent=2) if self.json else as_text(findings))

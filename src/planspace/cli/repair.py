@@ -5,12 +5,15 @@ the first damaged one are kept, of a log the lines that can be read.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
 
 from planspace.demos import folder as demo_folder
 from planspace.embed import embedding
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, printable
 from planspace.rl import history, saved_policy
 from planspace.storage import checkpoint
 from planspace.storage.files import is_row, move, read_arrays, read_bytes, read_sealed, remove, write_bytes
@@ -106,3 +109,21 @@ def _set_aside(file: Path) -> None:
     while (to := file.with_name(f"{PREFIX}{number}-{file.name}")).exists():
         number += 1
     move(file, to)
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Look for damaged files and set them aside, so that the command that made a folder can go on."""
+
+    folder: Positional[Annotated[Path, arg(metavar="DIR")]]
+    """A dataset, an embedding, a training, a run or studies. Nothing is removed: a damaged file stays there
+    as damaged-1-NAME. Of a dataset, the shards before the first damaged one are kept."""
+
+    def __call__(self) -> None:
+        """Prints what was damaged."""
+        lines = repair(self.folder)
+        print("\n".join(map(printable, lines)) or f"nothing in {self.folder} is damaged.")
+        if lines:
+            print(
+                "Damaged files were set aside. The command that made them, run again, makes what is missing."
+            )

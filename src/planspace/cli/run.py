@@ -1,0 +1,37 @@
+"""`planspace run`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from planspace.errors import PartialResult
+
+
+@dataclass(frozen=True)
+class Run:
+    """Go from nothing to a first result: plan, embed, train, report."""
+
+    task: Positional[Annotated[str, arg(metavar="TASK")]] = "cartpole-swingup"
+    """cartpole, cartpole-swingup, reacher-trig or reacher-raw."""
+    budget: Literal["smoke", "small", "full"] = "small"
+    """smoke: half a minute, to see that it works. small: five minutes, a first result. full: 300
+    demonstrations, and 15 policies of 2 M steps an arm."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: runs/TASK-BUDGET)")] = None
+    """The run's folder. The same command continues an interrupted run."""
+    seed: int = 0
+    """Seed of every stage; policies take this and the following ones."""
+
+    def __call__(self) -> None:
+        """Runs it and prints the closing table."""
+        from planspace.storage.compiled import keep_compiled
+        from planspace.study.quickstart import closing_table, run
+
+        keep_compiled()
+        out = self.out or Path("runs") / f"{self.task}-{self.budget}"
+        summary = run(self.task, self.budget, out, self.seed)
+        print(closing_table(summary))
+        print(f"\nreport           {out / 'report.html'}")
+        if summary["diverged"]:
+            raise PartialResult(f"numbers that are not finite: {'; '.join(summary['diverged'])}.")
