@@ -1,4 +1,4 @@
-"""`planspace demos`."""
+"""`planspace demos`: the verbs for datasets of demonstrations."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,38 +8,44 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from planspace.cli.tables import print_values
 
+DemosFolder = Positional[Annotated[Path, arg(metavar="DEMOS", help="A dataset folder.")]]
+Untrusted = Annotated[
+    bool,
+    arg(
+        help="The model comes from someone you do not trust: read it in a separate process with limited "
+        "memory and time."
+    ),
+]
+
 
 @dataclass(frozen=True)
-class DemosShow:
-    """Say what a dataset holds."""
+class Show:
+    """Show what a dataset contains."""
 
-    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder."""
+    folder: DemosFolder
     json: bool = False
     """Print JSON."""
 
     def __call__(self) -> None:
-        """Prints it."""
+        """Print the description."""
         from planspace.demos.describe import describe
 
         print_values(describe(self.folder), as_json=self.json)
 
 
 @dataclass(frozen=True)
-class DemosValidate:
-    """Check every shard's hash, and that the recorded controls lead to the recorded states."""
+class Validate:
+    """Check the hash of every shard and, with --replay, that the controls lead to the states."""
 
-    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder."""
+    folder: DemosFolder
     replay: bool = False
-    """Roll the controls out in plain MuJoCo and compare."""
-    untrusted: bool = False
-    """Its model comes from strangers: try it first in a process of its own, in bounded memory and time."""
+    """Simulate the recorded controls in plain MuJoCo and compare the states."""
+    untrusted: Untrusted = False
     json: bool = False
     """Print JSON."""
 
     def __call__(self) -> None:
-        """Prints what was checked."""
+        """Print what was checked."""
         from planspace.demos.describe import validate
 
         found = validate(self.folder, replay_controls=self.replay, untrusted=self.untrusted)
@@ -47,16 +53,15 @@ class DemosValidate:
 
 
 @dataclass(frozen=True)
-class DemosPlot:
+class Plot:
     """Draw a dataset in state space."""
 
-    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder."""
+    folder: DemosFolder
     out: Annotated[Path, arg(metavar="DIR")]
-    """Where demos.png and demos.svg go."""
+    """Folder for demos.png and demos.svg."""
 
     def __call__(self) -> None:
-        """Draws it."""
+        """Draw and save the figure."""
         from planspace.demos.folder import load_demos
         from planspace.figures.demos import plot_demos
         from planspace.figures.style import save_figure
@@ -66,28 +71,26 @@ class DemosPlot:
 
 
 @dataclass(frozen=True)
-class DemosRender:
+class Render:
     """Film the robot in its recorded states, in real time."""
 
-    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder that holds the model."""
+    folder: DemosFolder
     out: Annotated[Path, arg(metavar="FILE.gif|FILE.mp4")]
-    """The film; an MP4 needs the extra `video`."""
+    """The film. An MP4 needs the extra `video`."""
     episodes: Annotated[int, arg(metavar="N")] = 3
-    """How many demonstrations, from the first on, one after another."""
+    """Number of demonstrations, starting with the first, shown one after another."""
     fps: Annotated[int, arg(metavar="N")] = 30
-    """Pictures a second."""
+    """Frames per second."""
     width: Annotated[int, arg(metavar="PIXELS")] = 480
-    """Width of the picture."""
+    """Width of a frame."""
     height: Annotated[int, arg(metavar="PIXELS")] = 360
-    """Height of the picture."""
+    """Height of a frame."""
     camera: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the model's first)")] = ""
-    """A camera of the model; one that shows all of it where the model has none."""
-    untrusted: bool = False
-    """Its model comes from strangers: try it first in a process of its own, in bounded memory and time."""
+    """A camera of the model. A model without cameras is shown as a whole."""
+    untrusted: Untrusted = False
 
     def __call__(self) -> None:
-        """Films it."""
+        """Render and save the film."""
         from planspace.demos.folder import load_demos
         from planspace.demos.render import FilmConfig, render_demos
         from planspace.mjcf.subprocess_model import compile_apart
@@ -101,35 +104,36 @@ class DemosRender:
 
 
 @dataclass(frozen=True)
-class DemosImport:
-    """Make a dataset of demonstrations in another format: NPZ, CSV, Minari, or the plans of 2020."""
+class Import:
+    """Make a dataset from demonstrations in another format: NPZ, CSV, Minari, or the plans of 2020."""
 
     source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE", help_behavior_hint="(required)")]]
-    """FILE.npz with `states`, `controls`, `time`, `offsets`; FILE.csv, one demonstration a file or a column
-    `episode`; minari:ID; 2020's .json or .out plans. Several files, or a folder of them, make one dataset."""
+    """FILE.npz with `states`, `controls`, `time`, `offsets`; FILE.csv with one demonstration per file or a
+    column `episode`; minari:ID; plans of 2020 as .json or .out. Several files, or a folder of files, make one
+    dataset."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The dataset folder to make."""
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
-    """The planning problem the states belong to: gives names, units, angles and the model."""
+    """The planning problem that the states belong to. It provides names, units, angles and the model."""
     state: UseAppendAction[
         Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
     ] = ()
-    """Which column is a state; NAME=INDEX or NAME=KEY[INDEX] in Minari. By default columns go by name."""
+    """The column of a state; for Minari NAME=INDEX or NAME=KEY[INDEX]. By default columns are matched by
+    name."""
     control: UseAppendAction[
         Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
     ] = ()
-    """Which column is a control. By default control1 .., control0 .., or the actuators' names."""
+    """The column of a control. By default control1, control2, ... (or from control0), or the actuators'
+    names."""
     dt: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None
-    """The time step, for a source that does not say."""
+    """The time step, if the source does not record it."""
     as_recorded: bool = False
-    """Keep uneven time steps and wound-up angles. Otherwise all demonstrations are brought to one step, and
-    angles to end in (-pi, pi]."""
-    untrusted: bool = False
-    """The problem comes from strangers: its model is read in a process of its own, in bounded memory and
-    time."""
+    """Keep uneven time steps and angles with full turns. Otherwise all demonstrations are resampled to one
+    time step, and angles end in (-pi, pi]."""
+    untrusted: Untrusted = False
 
     def __call__(self) -> None:
-        """Imports it."""
+        """Import and save the dataset."""
         from planspace.demos.convert import import_demos
         from planspace.demos.recording import ImportOptions, assignments
         from planspace.plan.generate import state_info
@@ -143,16 +147,15 @@ class DemosImport:
 
 
 @dataclass(frozen=True)
-class DemosExport:
-    """Write a dataset in a format that `demos import` reads back."""
+class Export:
+    """Write a dataset in a format that `demos import` reads."""
 
-    folder: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder."""
+    folder: DemosFolder
     target: Positional[Annotated[str, arg(metavar="FILE.npz|FILE.csv|minari:ID")]]
-    """What to write; a Minari dataset is kept where Minari keeps its own."""
+    """The file to write. A Minari dataset is stored in Minari's own folder."""
 
     def __call__(self) -> None:
-        """Exports it."""
+        """Export the dataset."""
         from planspace.demos.convert import export_demos
         from planspace.demos.folder import load_demos
 
@@ -161,17 +164,17 @@ class DemosExport:
 
 @dataclass(frozen=True)
 class Demos:
-    """Look at, check, draw, film, import and export demonstrations."""
+    """Show, check, draw, film, import and export demonstrations."""
 
     action: (
-        Annotated[DemosShow, subcommand("show")]
-        | Annotated[DemosValidate, subcommand("validate")]
-        | Annotated[DemosPlot, subcommand("plot")]
-        | Annotated[DemosRender, subcommand("render")]
-        | Annotated[DemosImport, subcommand("import")]
-        | Annotated[DemosExport, subcommand("export")]
+        Annotated[Show, subcommand("show")]
+        | Annotated[Validate, subcommand("validate")]
+        | Annotated[Plot, subcommand("plot")]
+        | Annotated[Render, subcommand("render")]
+        | Annotated[Import, subcommand("import")]
+        | Annotated[Export, subcommand("export")]
     )
 
     def __call__(self) -> None:
-        """Hands on to the action."""
+        """Run the action."""
         self.action()

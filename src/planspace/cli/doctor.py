@@ -1,32 +1,19 @@
-"""`planspace doctor`: what is installed, what is missing, and what to do about it."""
+"""`planspace doctor`: what is installed, what is missing, and how to install it."""
 
 import importlib.metadata
 import importlib.util
-import json
 import platform
+import re
 import sys
 from dataclasses import dataclass
-from typing import Any
+from importlib.metadata import PackageNotFoundError, version
 
+from planspace.cli.tables import print_json
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.workers import count_cores
 
-PACKAGES = ("planspace", "mujoco", "jax", "equinox", "optax", "gymnasium", "numpy", "scipy", "safetensors")
-
-EXTRAS: dict[str, tuple[tuple[str, ...], str]] = {
-    "ompl": (("ompl",), "OMPL's planners beside ours"),
-    "minari": (("minari",), "demonstrations from and to Minari"),
-    "sb3": (("stable_baselines3", "sb3_contrib"), "Stable-Baselines3 agents"),
-    "ray": (("ray",), "studies on a cluster"),
-    "onnx": (("onnx", "onnxruntime"), "embeddings as ONNX files"),
-    "video": (("imageio_ffmpeg",), "MP4 videos"),
-    "track": (("tensorboard", "wandb"), "TensorBoard and Weights & Biases"),
-    "docs": (("sphinx", "myst_parser", "furo"), "building the documentation"),
-    "fuzz": (("atheris",), "fuzzing"),
-    "test": (("pytest", "hypothesis", "beartype"), "running the tests"),
-    "dev": (("ruff", "pyright", "codespell_lib"), "linting and type checks"),
-}
-"""Extra to the modules it brings and what it is for. This version itself uses all but `fuzz`."""
+REQUIREMENT = re.compile(r"(?P<package>[\w.-]+).*?(extra == ['\"](?P<extra>\w+)['\"])?$")
+"""A requirement in the package's metadata, such as `onnx>=1.21; extra == "onnx"`."""
 
 
 @dataclass(frozen=True)
@@ -37,32 +24,66 @@ class Finding:
     value: str
     ok: bool
     advice: str = ""
+    """What to do if it is not ok."""
+
+    def __str__(self) -> str:
+        advice = f"  -> {self.advice}" if self.advice and not self.ok else ""
+        return f"{'ok ' if self.ok else '-- '} {self.name:<16}{self.value}{advice}"
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Show what is installed, what is missing, and how to install it."""
+
+    json: bool = False
+    """Print JSON."""
+
+    def __call__(self) -> None:
+        """Examine the machine and print the findings."""
+        findings = examine()
+        if self.json:
+            print_json(
+                {f.name: {"value": f.value, "ok": f.ok, "advice": "" if f.ok else f.advice} for f in findings}
+            )
+        else:
+            print(*findings, sep="\n")
 
 
 def examine() -> list[Finding]:
-    """Looks at the machine; takes a second or two."""
-    findings = [
-        Finding("python", platform.python_version(), sys.version_info >= (3, 11), "planspace needs 3.11."),
+    """Examine this machine, which takes a second or two."""
+    requirements = _requirements()
+    return [
+        Finding("python", platform.python_version(), sys.version_info >= (3, 11), "install Python 3.11."),
         Finding("cores", str(count_cores()), True),
+        Finding("planspace", version("planspace"), True),
+        *(Finding(package, version(package), True) for package in requirements.pop("")),
+        _batch(),
+        _rendering(),
+        *(_extra(name, packages) for name, packages in requirements.items()),
     ]
-    findings += [Finding(name, importlib.metadata.version(name), True) for name in PACKAGES]
-    findings += [_batch(), _rendering()]
-    findings += [_extra(name) for name in EXTRAS]
-    return findings
 
 
-def as_text(findings: list[Finding]) -> str:
-    """The findings for a terminal."""
-    lines = []
-    for f in findings:
-        advice = f"  -> {f.advice}" if f.advice and not f.ok else ""
-        lines.append(f"{'ok ' if f.ok else '-- '} {f.name:<16}{f.value}{advice}")
-    return "\n".join(lines)
+def _requirements() -> dict[str, list[str]]:
+    """The packages that each extra installs, as pyproject.toml lists them; the base packages under ""."""
+    found: dict[str, list[str]] = {"": []}
+    for requirement in importlib.metadata.requires("planspace") or ():
+        if parts := REQUIREMENT.match(requirement):
+            found.setdefault(parts["extra"] or "", []).append(parts["package"])
+    return found
 
 
-def as_data(findings: list[Finding]) -> dict[str, Any]:
-    """The findings for a program."""
-    return {f.name: {"value": f.value, "ok": f.ok, "advice": "" if f.ok else f.advice} for f in findings}
+def _extra(name: str, packages: list[str]) -> Finding:
+    missing = [package for package in packages if not _is_installed(package)]
+    value = f"missing: {', '.join(missing)}" if missing else f"found: {', '.join(packages)}"
+    return Finding(f"[{name}]", value, not missing, f"pip install 'planspace[{name}]'")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def _batch() -> Finding:
@@ -76,23 +97,3 @@ def _rendering() -> Finding:
     advice = f"only pictures of the robot need it: {rendering_advice()}"
     value = "none" if backend is None else f"works (MUJOCO_GL={backend})"
     return Finding("rendering", value, backend is not None, advice)
-
-
-def _extra(name: str) -> Finding:
-    modules, purpose = EXTRAS[name]
-    missing = [m for m in modules if importlib.util.find_spec(m) is None]
-    value = f"{'missing' if missing else 'found'} ({purpose})"
-    return Finding(f"[{name}]", value, not missing, f"pip install 'planspace[{name}]'")
-
-
-@dataclass(frozen=True)
-class Doctor:
-    """Say what is installed, what is missing, and what to do about it."""
-
-    json: bool = False
-    """Print JSON."""
-
-    def __call__(self) -> None:
-        """Prints the findings."""
-        findings = examine()
-        print(json.dumps(as_data(findings), indent=2) if self.json else as_text(findings))

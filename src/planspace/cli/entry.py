@@ -2,7 +2,9 @@
 
 import contextlib
 import importlib
+import inspect
 import io
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -13,6 +15,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from planspace.cli.help_texts import set_help_texts
 from planspace.errors import PlanspaceError, printable
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
@@ -62,6 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parse([a for a in arguments if a != "--debug"])()
     except SystemExit as stop:
         return int(stop.code or 0)
+    except BrokenPipeError:  # the reader of our output, such as `head`, has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILURE
     except KeyboardInterrupt:
         print("interrupted; the same command continues from here.", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -86,10 +92,11 @@ def parse(arguments: Sequence[str]) -> Any:
     module = importlib.import_module(f"planspace.cli.{verb}")
     kind = getattr(module, verb.capitalize())
     default = kind.default(rest) if hasattr(kind, "default") else None
-    return _parse_with_tyro(kind, rest, f"{PROGRAM} {verb}", kind.__doc__, default)
+    return _parse_with_tyro(kind, rest, f"{PROGRAM} {verb}", inspect.getdoc(kind) or "", default)
 
 
 def _parse_with_tyro(kind: Any, arguments: Sequence[str], prog: str, description: str, default: Any) -> Any:
+    set_help_texts(kind, default)
     marked = tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[tyro.conf.FlagCreatePairsOff[kind]]]
     complaint = io.StringIO()
     given = {} if default is None else {"default": default}

@@ -9,17 +9,20 @@ from tyro.conf import Positional, arg
 
 @dataclass(frozen=True)
 class Export:
-    """Write an embedding's encoder for programs that have no Python; needs the extra `onnx`."""
+    """Export the encoder of an embedding for programs without Python.
+
+    This needs the extra `onnx`.
+    """
 
     embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
-    """An embedding's folder."""
+    """An embedding folder."""
     out: Positional[Annotated[Path, arg(metavar="FILE")]]
-    """The file to make."""
+    """The file to write."""
     to: Literal["onnx"] = "onnx"
-    """onnx: `state` [batch, n] to `mu` and `sigma` [batch, z] of q(z|x), all float32."""
+    """The format. onnx maps `state` [batch, state] to `mu` and `sigma` [batch, z] of q(z|x), all float32."""
 
     def __call__(self) -> None:
-        """Exports it."""
+        """Export the encoder."""
         from planspace.embed.embedding import load_embedding
         from planspace.embed.export import export_onnx
 

@@ -1,38 +1,38 @@
 """`planspace measure`."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from planspace.cli.tables import print_columns, print_values
+from planspace.cli.tables import print_columns, print_json, print_values
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure an embedding's geometry on demonstrations, beside the raw state's and a constant's.
+    """Measure the geometry of an embedding on demonstrations.
 
-    On the demonstrations it was trained on, each split is measured by itself. Straightness can be won by
-    throwing state away: look at effective_rank and decoded_error, too.
+    The raw state and a constant are measured for comparison. If the embedding was trained on these
+    demonstrations, each split is measured separately. An embedding that throws the state away can be
+    perfectly straight, so look at effective_rank and decoded_error, too.
     """
 
     embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
-    """An embedding's folder."""
+    """An embedding folder."""
     demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder; any whose states have the names the embedding reads."""
+    """A dataset folder whose states have the names that the embedding reads."""
     truth: Annotated[Path | None, arg(metavar="FILE.npz", help_behavior_hint="(default: none)")] = None
-    """The least times to the goal, if they are known, to correlate distances with: `states` [n, state],
+    """Shortest times to the goal, if they are known, to correlate with distances in z: `states` [n, state],
     `time` [n] in seconds, `goal` [state]."""
     plot: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """Draw paths in z, distance against time, and the curves of the training into DIR. Of the demonstrations
-    it was trained on, the test split is drawn."""
+    """Draw paths in z, distance against time, and the training curves into DIR. If the embedding was trained
+    on these demonstrations, only the test split is drawn."""
     json: bool = False
     """Print JSON."""
 
     def __call__(self) -> None:
-        """Prints the metrics."""
+        """Print the metrics."""
         from planspace.demos.folder import load_demos
         from planspace.embed.embedding import load_embedding
         from planspace.embed.measurement import assess
@@ -48,7 +48,7 @@ class Measure:
             draw_embedding(embedding, self.embedding, demos, self.plot)
             found["figures"] = str(self.plot)
         if self.json:
-            print(json.dumps(found, indent=2))
+            print_json(found)
             return
         for split, columns in found.pop("splits").items():
             intervals = {k: f"[{low:.3g}, {high:.3g}]" for k, (low, high) in columns["intervals"].items()}

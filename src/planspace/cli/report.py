@@ -1,16 +1,20 @@
 """`planspace report`."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from planspace.cli.tables import print_json
+
 
 @dataclass(frozen=True)
 class Report:
-    """Write the report of a `planspace run` anew; what the run had not finished is finished first."""
+    """Write the report of a `planspace run` again.
+
+    Stages that the run had not finished are finished first.
+    """
 
     folder: Positional[Annotated[Path, arg(metavar="DIR")]]
     """The run's folder."""
@@ -18,8 +22,11 @@ class Report:
     """Print the summary as JSON."""
 
     def __call__(self) -> None:
-        """Writes it and prints the closing table."""
+        """Write the report and print the closing table."""
         from planspace.study.quickstart import closing_table, rebuild
 
         summary = rebuild(self.folder)
-        print(json.dumps(summary, indent=2) if self.json else closing_table(summary))
+        if self.json:
+            print_json(summary)
+        else:
+            print(closing_table(summary))

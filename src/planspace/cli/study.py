@@ -2,62 +2,72 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from planspace.errors import PartialResult, UsageError
 
+if TYPE_CHECKING:
+    from planspace.study.design import Study as StudyDesign
+
 
 @dataclass(frozen=True)
 class Study:
-    """Run a study: its embeddings and policies in parallel, then its claims, tables, figures and report."""
+    """Run a study: many embeddings and policies, statistics and a report.
+
+    The embeddings and policies are trained in parallel. Then claims are judged, and tables, figures and a
+    report are written.
+    """
 
     name: Positional[Annotated[str, arg(metavar="NAME")]] = ""
     """paper: the paper's experiments and claims. controls: why an embedding helps. demos: what demonstrations
-    must be like. shaping: whether distance in z says which way to go. recipe: how surely the swing-up can be
-    learned. Without a name they are listed."""
+    an embedding needs. shaping: whether distance in z works as a shaping reward. recipe: how reliably the
+    swing-up is learned."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
-    """Where results go: DIR/NAME-BUDGET/report.html, and DIR/units for what each unit found. Studies that
-    share DIR share the units they have in common. The same command goes on where one was interrupted."""
+    """Folder of the results: DIR/NAME-BUDGET/report.html, and DIR/units with the result of each unit. Studies
+    that share DIR share the units that they have in common. The same command continues an interrupted
+    study."""
     budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
-    """Steps a seed. smoke: minutes in all, to see that it works. half: 1 M. full: 2 M. paper: 8 M (2020)."""
+    """Environment steps per seed. smoke: a few minutes in all, to see that it works. half: 1 M. full: 2 M.
+    paper: 8 M, as in 2020."""
     workers: Annotated[int, arg(metavar="N")] = 0
-    """Processes, at most one for each core, which 0 takes. The result does not depend on it."""
+    """Worker processes, at most one per core; 0 uses every core. The result does not depend on this
+    number."""
     seeds: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 15; 25 or 75 where nested)")] = 0
-    """Policies an arm, in blocks of 5. A larger number adds to those that were run."""
+    """Policies per arm, a multiple of 5. A larger number adds seeds to those that have been run."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
-    """Only arms whose name (figure/arm) contains this, such as 'swingup, TRPO'; may be given again. The
-    report shows all that is there, with --report these arms alone."""
+    """Run only arms whose name (figure/arm) contains this text, such as 'swingup, TRPO'. May be repeated. The
+    report shows every arm that has results; with --report it shows only these arms."""
     ray: Annotated[str, arg(metavar="HOST:PORT", help_behavior_hint="(default: this machine)")] = ""
-    """A Ray cluster to run the units on (extra `ray`); results come back here. --workers limits how many run
-    at a time; 0 takes all of its cores."""
+    """A Ray cluster to run the units on (extra `ray`). Results are stored on this machine. --workers limits
+    how many units run at a time; 0 uses every core of the cluster."""
     report: bool = False
-    """Run nothing; write the report of what is there."""
+    """Run nothing, and write the report of the results that exist."""
 
     def __call__(self) -> None:
-        """Runs what is left of it, writes the report and prints the tables."""
+        """Run the units that are missing, write the report and print the tables."""
         from planspace.study.grid import STUDIES, make_study
         from planspace.study.report import write_report
         from planspace.study.run import failures
         from planspace.study.summary import as_text, read_findings
 
         if not self.name:
-            raise UsageError(f"which study? There are {', '.join(STUDIES)}.")
+            raise UsageError(f"which study? Choose one of {', '.join(STUDIES)}.")
         if self.workers < 0:
-            raise UsageError("--workers must not be negative.")
+            raise UsageError(f"`--workers` must be 0 or more, got {self.workers}.")
         study = make_study(self.name, self.budget, seeds=self.seeds)
-        asked = study.only(self.only)
-        failed = {} if self.report else self._run(asked)
+        selected = study.only(self.only)
+        failed = {} if self.report else self._run(selected)
         text = "".join(f" {line}." for line in failures(failed, study))
-        findings = read_findings(asked if self.report else study, self.out)
+        findings = read_findings(selected if self.report else study, self.out)
         if findings.scores or not failed:
             summary, page = write_report(findings, self.out)
             print(f"{as_text(summary)}\n\nreport           {page}")
         if failed:
-            raise PartialResult(f"{len(failed)} units failed; what else there is is done.{text}")
+            raise PartialResult(f"{len(failed)} units failed; the other results are saved.{text}")
 
-    def _run(self, study: Any) -> dict[str, str]:
+    def _run(self, study: "StudyDesign") -> dict[str, str]:
         from planspace.study.run import run_study
 
         if not self.ray:

@@ -7,10 +7,15 @@ from typing import Any
 from planspace.errors import printable
 
 
+def print_json(values: Mapping[str, Any]) -> None:
+    """Print values as JSON."""
+    print(json.dumps(values, indent=2))
+
+
 def print_values(values: Mapping[str, Any], *, as_json: bool = False, indent: str = "") -> None:
     """Print nested values, one a line, or all of them as JSON."""
     if as_json:
-        print(json.dumps(values, indent=2))
+        print_json(values)
         return
     for key, item in values.items():
         if isinstance(item, Mapping):

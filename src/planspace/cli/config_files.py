@@ -1,0 +1,145 @@
+"""`--config FILE`: settings from a YAML file, or from the config.json of an earlier run.
+
+A file changes the defaults that tyro starts from, so that `--help` shows its values, and options on the
+command line still win. The options that decide which settings exist, such as `--preset`, are read first.
+"""
+
+import types
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import yaml
+
+from planspace.errors import PlanspaceError, UsageError, quoted, unknown
+from planspace.seams import check_fits, is_object_path, load_object
+from planspace.storage.files import read_bytes
+
+Config = TypeVar("Config")
+Seam = TypeVar("Seam")
+
+MAX_CONFIG_BYTES = 1 << 20
+
+
+def given_option(arguments: Sequence[str], name: str) -> str | None:
+    """The last value that a command line gives to an option, or None.
+
+    Args:
+        arguments: the command line after its verb.
+        name: for example `--preset`; `--preset X` and `--preset=X` are understood.
+    """
+    found = None
+    for position, argument in enumerate(arguments):
+        option, equals, value = argument.partition("=")
+        if option.replace("_", "-") == name:
+            found = value if equals else next(iter(arguments[position + 1 : position + 2]), None)
+    return found
+
+
+def chosen(given: str, shipped: Mapping[str, Seam], protocol: type[Seam], page: str) -> Seam:
+    """The object that a command line names: a shipped one, or `module.py:NAME` from the user's own code.
+
+    Args:
+        given: what was typed.
+        shipped: name to object.
+        protocol: what the object must fit.
+        page: the how-to page to refer to.
+
+    Raises:
+        UsageError: the name is unknown, or the object does not fit the protocol.
+    """
+    if is_object_path(given):
+        return check_fits(load_object(given), protocol, page)
+    if given not in shipped:
+        raise unknown(protocol.__name__.lower(), given, [*shipped, "module.py:NAME"])
+    return shipped[given]
+
+
+def read_config(path: str | Path) -> dict[str, Any]:
+    """Read a YAML or JSON file of settings.
+
+    Raises:
+        PlanspaceError: the file cannot be read, or is not a mapping of names to values.
+    """
+    data = read_bytes(Path(path), most=MAX_CONFIG_BYTES, may_be_link=True)
+    try:
+        settings = yaml.safe_load(data)  # JSON is YAML, too
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise PlanspaceError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(settings, dict) or not all(isinstance(key, str) for key in settings):
+        raise PlanspaceError(f"{path} must be a mapping of settings to values.")
+    return settings
+
+
+def with_settings(
+    config: Config, settings: Mapping[str, Any], where: str, *, ignored: Collection[str] = ()
+) -> Config:
+    """A copy of a nested config with the settings of a file.
+
+    Args:
+        config: the dataclass that the settings change.
+        settings: field to value; nested for a field that is a dataclass itself. The key `name` of a seam
+            object is checked against the object that `config` holds.
+        where: the file, for messages.
+        ignored: keys that a run's config.json records and that are not settings, such as versions.
+
+    Raises:
+        UsageError: a key is not a field, or a value is not of the field's type or range.
+    """
+    hints, known = get_type_hints(type(config)), {f.name: f for f in fields(config)}  # pyright: ignore
+    changes: dict[str, Any] = {}
+    for key, value in settings.items():
+        if key in ignored or (key in ("name", "source_sha256") and key not in known):
+            continue
+        if key not in known:
+            raise UsageError(f"{where}: {unknown('setting', key, known)}")
+        current = getattr(config, key)
+        if is_dataclass(current) and not isinstance(current, type) and isinstance(value, Mapping):
+            changes[key] = with_settings(current, value, where)
+        else:
+            changes[key] = _converted(value, hints[key], f"{where}: {key}")
+    try:
+        return replace(config, **changes)  # pyright: ignore[reportArgumentType]
+    except ValueError as error:
+        raise UsageError(f"{where}: {error}") from error
+
+
+def _converted(value: Any, hint: Any, where: str) -> Any:
+    """A value of a file as its field's type, or an error."""
+    origin, options = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in options:
+            return None
+        return _converted_to_one_of(value, [o for o in options if o is not type(None)], where)
+    if origin is Literal:
+        if value not in options:
+            raise UsageError(f"{where} must be one of {', '.join(map(repr, options))}, got {quoted(value)}.")
+        return value
+    if origin is tuple:
+        return _converted_tuple(value, options, where)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if hint in (bool, int, float, str) and type(value) is hint:
+        return value
+    raise UsageError(f"{where} must be of type {getattr(hint, '__name__', hint)}, got {quoted(value)}.")
+
+
+def _converted_to_one_of(value: Any, hints: Sequence[Any], where: str) -> Any:
+    for hint in hints[:-1]:
+        try:
+            return _converted(value, hint, where)
+        except UsageError:
+            continue
+    return _converted(value, hints[-1], where)
+
+
+def _converted_tuple(value: Any, options: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise UsageError(f"{where} must be a list, got {quoted(value)}.")
+    hints = [options[0]] * len(value) if options[1:] == (...,) else list(options)
+    if len(hints) != len(value):
+        raise UsageError(f"{where} must be a list of {len(hints)} values, got {len(value)}.")
+    return tuple(_converted(v, h, f"{where}[{i}]") for i, (v, h) in enumerate(zip(value, hints, strict=True)))
