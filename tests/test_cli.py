@@ -79,7 +79,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["demos", "import", "a.csv", "--dt", "0", "--out", "x"], "--dt must be a positive number"),
         (["demos", "import", "a.out", "--out", "x"], "give --problem"),
         (["measure"], "Missing from planspace measure: EMBEDDING"),
-        (["curves", "--out", "x"], "which runs? Give folders that `planspace train` made"),
+        (["curves", "--out", "x"], "which runs? Give the folders that `planspace train` made"),
         (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
         (["train", "cartpole", "--seed", "-1", "--out", "x"], "seeds are at least 0, got -1"),
         (["train", "cartpole", "--hidden", "0", "--out", "x"], "layers of at least one unit"),
@@ -349,12 +349,12 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("arguments", "code", "complaint"),
     [
-        ([], 2, "which study? There are paper, controls, demos, shaping, recipe."),
+        ([], 2, "which study? Choose one of paper, controls, demos, shaping, recipe."),
         (["controle"], 2, "unknown study 'controle'. Did you mean 'controls'? Known:"),
         (["paper", "--budget", "ful"], 2, "unknown budget 'ful'. Did you mean 'full'? Known:"),
         (["paper", "--seeds", "7"], 2, "seeds come in blocks of 5, got --seeds 7."),
         (["paper", "--only", "nothing"], 2, "study paper has no arm like nothing. Its arms: cartpole,"),
-        (["paper", "--workers", "-1"], 2, "--workers must not be negative."),
+        (["paper", "--workers", "-1"], 2, "`--workers` must be 0 or more, got -1."),
         (
             ["paper", "--ray", "here"],
             2,
