@@ -80,15 +80,16 @@ def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
     missing = [name for name in wanted if not callable(getattr(given, name, None))]
     if missing:
         raise UsageError(
-            f"{article(what).capitalize()} needs the methods {', '.join(wanted)}; {quoted(given)} has no "
+            f"{article(what, capital=True)} needs the methods {', '.join(wanted)}; {quoted(given)} has no "
             f"{', '.join(missing)}. See {page}."
         )
     return given
 
 
-def article(noun: str) -> str:
+def article(noun: str, *, capital: bool = False) -> str:
     """A noun with its indefinite article, for messages."""
-    return f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun}"
+    word = "an" if noun[0] in "AEIOU" else "a"
+    return f"{word.capitalize() if capital else word} {noun}"
 
 
 def name_of(given: Any) -> str:

@@ -1,0 +1,139 @@
+"""Help, wrong usage, and what every verb has in common."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from planspace.cli import main
+from planspace.cli.entry import VERBS
+
+from .calls import call, unboxed
+
+
+@pytest.mark.parametrize("verb", [[], *[[v] for v in VERBS], ["demos", "import"], ["demos", "render"]])
+def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, *verb, "--help")
+    assert code == 0
+    assert "usage: planspace" in out
+    assert not re.search(r"--[a-z-]+ [A-Z.|]+\s+\(default", out)  # no option without a word of its own
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "carpole"], "unknown task 'carpole'. Did you mean 'cartpole'?"),
+        (["run", "--budgt", "small"], "Unrecognized options: --budgt, small Perhaps you meant: --budget"),
+        (["run", "--budget", "tiny"], "invalid choice 'tiny'"),
+        (["rnu"], "Available subcommands: run, plan"),
+        (["plan", "--out", "x"], "which problem? Shipped: acrobot, arm, "),
+        (["plan", "reachr", "--out", "x"], "Did you mean 'reacher'?"),
+        (["plan", "reacher", "--num", "0", "--out", "x"], "--num must be at least 1; --restarts, "),
+        (["plan", "reacher", "--planner", "ompl-rtt", "--out", "x"], "Did you mean 'ompl-rrt'?"),
+        (
+            ["plan", "reacher", "--planner", "ompl-prm", "--out", "x"],
+            "ompl-prm cannot plan a dynamic problem",
+        ),
+        (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number"),
+        (["plan", "reacher", "--settings", "min_round=4", "--out", "x"], "Did you mean 'sst_min_rounds'?"),
+        (["plan", "reacher", "--workers", "-1", "--out", "x"], "--workers and --seed must not be negative"),
+        (["plan", "reacher", "--settings", "restarts=0", "--out", "x"], "restarts must be at least 1"),
+        (["plan", "reacher", "--cost", "speed", "--out", "x"], "unknown cost 'speed'"),
+        (["train", "--out", "x"], "which task? There are acrobot-swingup, arm, cartpole"),
+        (["train", "cartpole", "--z", "augment", "--out", "x"], "give --embedding DIR"),
+        (["demos", "import", "--out", "x"], "which source? It may be FILE.npz, FILE.csv, minari:ID"),
+        (["demos", "import", "demos.txt", "--out", "x"], "demos.txt is no source of demonstrations"),
+        (["demos", "import", "a.csv", "--state", "x", "--out", "x"], "--state needs NAME=COLUMN, got 'x'"),
+        (["demos", "import", "a.csv", "--dt", "0", "--out", "x"], "--dt must be a positive number"),
+        (["demos", "import", "a.out", "--out", "x"], "give --problem"),
+        (["measure"], "Missing from planspace measure: EMBEDDING"),
+        (["curves", "--out", "x"], "which runs? Give the folders that `planspace train` made"),
+        (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
+        (["train", "cartpole", "--seed", "-1", "--out", "x"], "seeds are at least 0, got -1"),
+        (["train", "cartpole", "--hidden", "0", "--out", "x"], "layers of at least one unit"),
+        (["play", "x", "--video", "x.txt"], "x.txt is no film; give FILE.gif or FILE.mp4"),
+        (["export", "e"], "Missing from planspace export: FILE"),
+        (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = call(capsys, *arguments)
+    assert code == 2
+    assert message in unboxed(err)
+    assert out == "" and ("For full helptext" in err or len(err.strip().splitlines()) == 1)
+    assert list(tmp_path.iterdir()) == []  # nothing half-written
+
+
+def test_a_failure_is_one_line_and_exit_code_1_and_debug_shows_more(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere")
+    assert code == 1
+    assert err.strip() == f"planspace: {tmp_path}/nowhere is not a demo dataset: it has no manifest.json."
+    code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere", "--debug")
+    assert code == 1 and "Traceback" in err
+
+
+def test_an_out_folder_that_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    code, _, err = call(capsys, "run", "--budget", "smoke", "--out", tmp_path / "file" / "run")
+    assert code == 1
+    assert "cannot write" in err and "Not a directory" in err and len(err.strip().splitlines()) == 1
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("onnx", "onnxruntime", "tensorboard", "matplotlib", "plotly", "jax")
+    code = "import sys; from planspace.cli import main; main(['measure', '--help']); "
+    code += f"print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_doctor_examines_this_machine(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "doctor", "--json")
+    findings = json.loads(out)
+    assert code == 0
+    assert findings["mujoco.batch"]["ok"] and findings["[test]"]["ok"]
+    assert all(f["ok"] or f["advice"] for f in findings.values())  # a line of advice for all that is missing
+    code, out, _ = call(capsys, "doctor")
+    assert code == 0 and len(out.strip().splitlines()) == len(findings)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    import planspace
+
+    assert call(capsys, "--version")[1].strip() == planspace.__version__
+
+
+def test_repair_says_what_it_found(
+    demo_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(demo_folder, tmp_path / "demos")
+    assert call(capsys, "repair", folder) == (0, f"nothing in {folder} is damaged.\n", "")
+    (folder / "shard-00001.safetensors").write_bytes(b"")
+    code, out, _ = call(capsys, "repair", folder)
+    assert code == 0 and "shard-00001.safetensors was altered or damaged" in out
+    assert "The command that made them, run again" in out
+    assert call(capsys, "demos", "validate", folder)[0] == 0
+
+
+def test_too_little_memory_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("planspace.cli.doctor.examine", full)
+    assert main(["doctor"]) == 1
+    assert capsys.readouterr().err == "planspace: not enough memory for this command.\n"
