@@ -1,6 +1,5 @@
 """`--config FILE`, and the options that decide which settings exist."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
