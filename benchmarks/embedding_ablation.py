@@ -27,7 +27,8 @@ from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
 from planspace.rl.config import TrainConfig
 from planspace.rl.train import train
-from planspace.storage.files import json_hash, make_folder, read_json, write_json
+from planspace.storage.files import make_folder
+from planspace.storage.json_files import json_hash, read_json, write_json
 
 RESULTS = Path(__file__).parents[1] / "results" / "embedding"
 NUM_SEEDS = 5

@@ -21,7 +21,8 @@ from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import choose, fit_seeds
 from planspace.embed.geometry import measure, measure_raw_state
-from planspace.storage.files import json_hash, make_folder, read_json, write_json
+from planspace.storage.files import make_folder
+from planspace.storage.json_files import json_hash, read_json, write_json
 
 RESULTS = Path(__file__).parents[1] / "results" / "embedding" / "tables"
 NUM_SEEDS = 5

@@ -108,7 +108,7 @@ def sealed(file: Path, read: Callable[[], Any]) -> Probe:
     """Changes some values of a description as the bytes say, and makes its checksum anew."""
     import atheris
 
-    from planspace.storage.files import read_sealed, write_sealed
+    from planspace.storage.json_files import read_sealed, write_sealed
 
     whole = read_sealed(file)
 

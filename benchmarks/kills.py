@@ -30,7 +30,7 @@ from typing import Any
 
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import load_embedding
-from planspace.storage.files import read_arrays
+from planspace.storage.arrays import read_arrays
 from planspace.workers import WORKER_ENVIRONMENT
 
 MEASURED = ("seconds", "resumed", "checksum", "cores", "saved", "time")

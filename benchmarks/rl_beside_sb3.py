@@ -22,7 +22,8 @@ from planspace.figures.learning_curves import learning_curve, plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS, PRESETS, Algo, LearnerConfig, TrainConfig
 from planspace.rl.train import train
-from planspace.storage.files import read_json, write_bytes
+from planspace.storage.files import write_bytes
+from planspace.storage.json_files import read_json
 from planspace.tasks.task import TASKS
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"

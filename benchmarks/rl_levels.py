@@ -21,7 +21,8 @@ from planspace.figures.learning_curves import SMOOTHING, Curve, learning_curve, 
 from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.history import load_history
-from planspace.storage.files import read_json, write_bytes
+from planspace.storage.files import write_bytes
+from planspace.storage.json_files import read_json
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15

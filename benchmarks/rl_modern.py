@@ -13,7 +13,8 @@ from pathlib import Path
 
 from planspace.rl.config import Algo, LearnerConfig, PPOConfig, TrainConfig, TRPOConfig
 from planspace.rl.train import train
-from planspace.storage.files import read_json, write_bytes
+from planspace.storage.files import write_bytes
+from planspace.storage.json_files import read_json
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl" / "modern"
 FIRST_SEED, NUM_SEEDS = 100, 6

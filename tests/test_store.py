@@ -10,14 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planspace.errors import PlanspaceError
-from planspace.storage import files as store
+from planspace.storage.arrays import read_array, read_arrays, read_arrays_and_metadata, write_arrays
+from planspace.storage.files import make_folder, read_bytes
+from planspace.storage.json_files import read_json, read_sealed, write_json, write_sealed
+from planspace.storage.rows import append_rows
+from planspace.storage.runs import lock_folder, open_run
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "file.json"
-    store.write_json(path, {"old": 1})
+    write_json(path, {"old": 1})
 
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -26,8 +30,8 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
         with monkeypatch.context() as patch:
             patch.setattr(os, name, full if name == "fsync" else lambda *_: full(0))
             with pytest.raises(PlanspaceError, match="cannot write .*file.json: No space left on device"):
-                store.write_json(path, {"new": 2})
-        assert store.read_json(path) == {"old": 1}
+                write_json(path, {"new": 2})
+        assert read_json(path) == {"old": 1}
         assert [p.name for p in tmp_path.iterdir()] == ["file.json"]
 
 
@@ -41,13 +45,13 @@ JSON = st.recursive(
 @given(st.dictionaries(st.text(min_size=1, max_size=6).filter(lambda k: k != "checksum"), JSON, max_size=4))
 def test_sealed_json_round_trips(tmp_path_factory: pytest.TempPathFactory, value: dict[str, Any]) -> None:
     path = tmp_path_factory.mktemp("sealed") / "file.json"
-    store.write_sealed(path, value)
-    assert store.read_sealed(path) == value
+    write_sealed(path, value)
+    assert read_sealed(path) == value
 
 
 def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
-    store.write_sealed(path, {"name": "swing-up", "number": 12, "list": [1, 2]})
+    write_sealed(path, {"name": "swing-up", "number": 12, "list": [1, 2]})
     whole = path.read_bytes()
     missed = []
     for i in range(len(whole)):
@@ -55,7 +59,7 @@ def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
             continue  # white space outside strings carries nothing
         path.write_bytes(whole[:i] + bytes([whole[i] ^ 1]) + whole[i + 1 :])
         try:
-            store.read_sealed(path)
+            read_sealed(path)
         except PlanspaceError:
             continue
         missed.append(i)
@@ -64,57 +68,57 @@ def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
 
 def test_arrays_and_description_travel_together(tmp_path: Path) -> None:
     arrays = {"a": np.arange(6.0).reshape(2, 3).T, "b": np.array(True), "c": np.zeros((0, 2), np.int32)}
-    sha256 = store.write_arrays(tmp_path / "f.safetensors", arrays, about={"step": 7})
-    back = store.read_arrays(tmp_path / "f.safetensors", sha256=sha256)
+    sha256 = write_arrays(tmp_path / "f.safetensors", arrays, metadata={"step": 7})
+    back = read_arrays(tmp_path / "f.safetensors", sha256=sha256)
     for name, array in arrays.items():
         np.testing.assert_array_equal(back[name], array)
         assert back[name].dtype == array.dtype
-    assert store.read_arrays_about(tmp_path / "f.safetensors")[1] == {"step": 7}
+    assert read_arrays_and_metadata(tmp_path / "f.safetensors")[1] == {"step": 7}
 
 
 def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
-    store.write_arrays(path, {"a": np.arange(6.0)})
+    write_arrays(path, {"a": np.arange(6.0)})
     whole = path.read_bytes()
     for length in range(len(whole)):
         path.write_bytes(whole[:length])
         with pytest.raises(PlanspaceError, match=r"f.safetensors was altered or damaged: no readable"):
-            store.read_arrays(path)
+            read_arrays(path)
 
 
 def test_a_run_with_other_settings_is_refused_with_the_difference(tmp_path: Path) -> None:
-    store.open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
-    store.open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
+    open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
+    open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
     with pytest.raises(PlanspaceError, match=r"fit.z_dim was 3, now 10; seed was 0, now 1"):
-        store.open_run(tmp_path / "run", {"seed": 1, "fit": {"steps": 10, "z_dim": 10}})
+        open_run(tmp_path / "run", {"seed": 1, "fit": {"steps": 10, "z_dim": 10}})
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(PlanspaceError, match=r"not a planspace run \(it holds 'thesis.tex'\)"):
-        store.open_run(tmp_path, {})
+        open_run(tmp_path, {})
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(PlanspaceError, match="cannot write .*file/run: Not a directory"):
-        store.make_folder(tmp_path / "file" / "run")
+        make_folder(tmp_path / "file" / "run")
 
 
 READERS = {
-    "json": store.read_json,
-    "sealed": store.read_sealed,
-    "arrays": store.read_arrays,
-    "array": lambda path: store.read_array(path, "a"),
-    "about": store.read_arrays_about,
-    "bytes": store.read_bytes,
+    "json": read_json,
+    "sealed": read_sealed,
+    "arrays": read_arrays,
+    "array": lambda path: read_array(path, "a"),
+    "about": read_arrays_and_metadata,
+    "bytes": read_bytes,
 }
 
 
 def write_all(folder: Path) -> dict[str, Path]:
     folder.mkdir()
-    store.write_sealed(folder / "d.json", {"a": 1})
-    store.write_arrays(folder / "a.safetensors", {"a": np.arange(3.0)}, about={"step": 1})
+    write_sealed(folder / "d.json", {"a": 1})
+    write_arrays(folder / "a.safetensors", {"a": np.arange(3.0)}, metadata={"step": 1})
     return {
         kind: folder / ("d.json" if kind in ("json", "sealed", "bytes") else "a.safetensors")
         for kind in READERS
@@ -145,13 +149,13 @@ def test_a_part_of_a_run_lies_in_it(part: str, tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
     (run / part).symlink_to(file.parent)
-    store.read_sealed(run / part / file.name)  # of nothing
+    read_sealed(run / part / file.name)  # of nothing
     for mark in ("config.json", "policies.json"):
         (run / mark).touch()
         with pytest.raises(
             PlanspaceError, match=f"run/{part} is a link out of its folder, to {file.parent};"
         ):
-            store.read_sealed(run / part / file.name)
+            read_sealed(run / part / file.name)
         (run / mark).unlink()
 
 
@@ -163,7 +167,7 @@ def test_what_is_larger_than_memory_is_not_read(kind: str, tmp_path: Path) -> No
         READERS[kind](file)
 
 
-@pytest.mark.parametrize("read", [store.read_json, store.read_sealed])
+@pytest.mark.parametrize("read", [read_json, read_sealed])
 def test_a_description_of_gigabytes_is_none(read: Any, tmp_path: Path) -> None:
     file = write_all(tmp_path / "d")["json"]
     os.truncate(file, 3 << 30)
@@ -189,7 +193,7 @@ def test_a_row_is_there_once(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
 
     def append(*steps: int) -> list[int]:
-        store.append_rows(log, [{"step": step} for step in steps], number="step")
+        append_rows(log, [{"step": step} for step in steps], key="step")
         return [json.loads(line)["step"] for line in log.read_text().splitlines()]
 
     assert append(1, 2) == [1, 2]
@@ -198,27 +202,27 @@ def test_a_row_is_there_once(tmp_path: Path) -> None:
     log.write_text(log.read_text().replace("4", "9"))  # damaged: it must not keep others away
     assert append(4, 5) == [1, 2, 3, 9, 4, 5]
     log.write_text('[]\nnonsense\n{"other": 1}\n')
-    store.append_rows(log, [{"step": 1}], number="step")
+    append_rows(log, [{"step": 1}], key="step")
     assert len(log.read_text().splitlines()) == 4
 
 
 def test_no_row_is_added_to_a_file_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     log = tmp_path / "run" / "log.jsonl"
-    store.append_rows(log, [{"step": 1}], number="step")
+    append_rows(log, [{"step": 1}], key="step")
     log.rename(tmp_path / "thesis")
     log.symlink_to(tmp_path / "thesis")
     for target in (tmp_path / "thesis", tmp_path / "new"):
         log.unlink()
         log.symlink_to(target)
         with pytest.raises(PlanspaceError, match="is a link out of its folder"):
-            store.append_rows(log, [{"step": 2}], number="step")
+            append_rows(log, [{"step": 2}], key="step")
     assert (tmp_path / "thesis").read_text() == '{"step": 1}\n' and not (tmp_path / "new").exists()
 
 
 def test_a_lock_makes_no_file_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".writing-lock").symlink_to(tmp_path / "new")
-    with pytest.raises(PlanspaceError, match="cannot write .*run"), store.locked(tmp_path / "run"):
+    with pytest.raises(PlanspaceError, match="cannot write .*run"), lock_folder(tmp_path / "run"):
         pass
     assert not (tmp_path / "new").exists()

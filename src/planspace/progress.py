@@ -1,67 +1,110 @@
-"""Progress with the time left: a bar on a terminal, one line a minute in a log."""
+"""Progress bars with the time left: a bar on a terminal or in a notebook, one line a minute in a log."""
 
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from contextvars import ContextVar
+from typing import Any, Protocol, TypeVar
 
 from tqdm import tqdm
 
 LOG_INTERVAL_S = 60.0
+"""Seconds between two lines of a log."""
 PATIENCE_S = 2.0
+"""Seconds before `progress_over` shows its bar."""
 Item = TypeVar("Item")
+
+_shown: ContextVar[bool] = ContextVar("progress_shown", default=True)
 
 
 class Progress(Protocol):
-    """What a long stage reports to."""
+    """The bar that a long stage updates."""
 
     def update(self, n: float = 1) -> object:
-        """Says that `n` more units are done."""
+        """Add `n` finished units."""
 
     def set_postfix_str(self, s: str, refresh: bool = True) -> object:
-        """Shows a short text, such as the latest return, behind the counts."""
+        """Show a short text, such as the latest return, after the counts."""
+
+
+@contextmanager
+def progress_shown(verbose: bool) -> Iterator[None]:
+    """Hide every progress bar inside the block unless `verbose` is set.
+
+    Args:
+        verbose: False hides the bars. True shows them, unless an enclosing block hides them.
+    """
+    token = _shown.set(verbose and _shown.get())
+    try:
+        yield
+    finally:
+        _shown.reset(token)
 
 
 @contextmanager
 def progress(description: str, total: int, *, done: int = 0, unit: str = "it") -> Iterator[Progress]:
-    """Shows how far a stage has come, on standard error.
+    """Show the progress of a stage on standard error, or as a widget in a notebook.
 
     Args:
-        description: the stage's name.
-        total: how many units there are.
-        done: how many of them an earlier run has finished.
+        description: name of the stage.
+        total: number of units.
+        done: number of units that an earlier run has finished.
         unit: what is counted.
 
     Yields:
         The bar to update.
     """
-    on_terminal = sys.stderr.isatty()
-    with tqdm(
+    bar_class, options = _bar()
+    with bar_class(
         desc=description,
         total=total,
         initial=done,
         unit=unit,
         unit_scale=total >= 10_000,
-        file=sys.stderr,
-        dynamic_ncols=on_terminal,
-        ncols=None if on_terminal else 100,
-        mininterval=0.2 if on_terminal else LOG_INTERVAL_S,
-        maxinterval=10.0 if on_terminal else LOG_INTERVAL_S,
-        bar_format=None if on_terminal else "{desc}: {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]\n",
+        disable=not _shown.get(),
+        **options,
     ) as bar:
         yield bar
 
 
-def shown(items: Iterable[Item], description: str, *, unit: str, total: int | None = None) -> Iterator[Item]:
-    """Items as they come, counted on a terminal once that takes longer than two seconds.
+def progress_over(
+    items: Iterable[Item], description: str, *, unit: str, total: int | None = None
+) -> Iterator[Item]:
+    """Iterate over items, with a bar on a terminal or in a notebook once that takes longer than two seconds.
 
     Args:
-        items: what is gone through.
+        items: the items.
         description: what is done with them.
         unit: what is counted.
-        total: how many there are, where that is known.
+        total: number of items, if it is known.
     """
-    quiet = not sys.stderr.isatty()
-    yield from tqdm(
-        items, desc=description, unit=unit, total=total, delay=PATIENCE_S, disable=quiet, leave=False
+    in_notebook = _in_notebook()
+    bar_class = _notebook_bar() if in_notebook else tqdm
+    disable = not (_shown.get() and (in_notebook or sys.stderr.isatty()))
+    yield from bar_class(
+        items, desc=description, unit=unit, total=total, delay=PATIENCE_S, disable=disable, leave=False
     )
+
+
+def _bar() -> tuple[type[tqdm], dict[str, Any]]:
+    """The class of bar for the place where the output goes, and its options."""
+    if _in_notebook():
+        return _notebook_bar(), {}
+    if sys.stderr.isatty():
+        return tqdm, {"file": sys.stderr, "dynamic_ncols": True, "mininterval": 0.2}
+    line = "{desc}: {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]\n"
+    interval = {"mininterval": LOG_INTERVAL_S, "maxinterval": LOG_INTERVAL_S}
+    return tqdm, {"file": sys.stderr, "ncols": 100, "bar_format": line, **interval}
+
+
+def _in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook (Jupyter, Colab, VS Code)."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    return shell is not None and "IPKernelApp" in shell.config
+
+
+def _notebook_bar() -> type[tqdm]:
+    from tqdm.auto import tqdm as notebook_tqdm  # a widget, or text if ipywidgets is missing
+
+    return notebook_tqdm

@@ -10,7 +10,7 @@ from planspace.demos.describe import describe
 from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
 from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError
-from planspace.storage.files import read_sealed, write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 
 INFO = StateInfo(("x", "v"), ("m", "m/s"), (), 1)
 

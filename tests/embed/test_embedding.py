@@ -12,7 +12,7 @@ from planspace import load_embedding
 from planspace.embed.embedding import Embedding, Inputs
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.errors import PlanspaceError
-from planspace.storage.files import read_sealed, write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 
 NUMPY_TOLERANCE = 1e-5
 INPUTS = Inputs(

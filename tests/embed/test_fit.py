@@ -16,8 +16,9 @@ from planspace.embed.fit import fit
 from planspace.embed.geometry import measure
 from planspace.embed.training import CHUNK
 from planspace.errors import PlanspaceError, UsageError
+from planspace.storage.arrays import read_arrays, read_arrays_and_metadata
 from planspace.storage.checkpoint import FILE
-from planspace.storage.files import file_hash, read_arrays, read_arrays_about
+from planspace.storage.files import file_hash
 
 from ..conftest import QUICK_FIT
 
@@ -157,7 +158,7 @@ def test_divergence_is_caught_at_its_step_and_saved_as_before(
         with pytest.raises(PlanspaceError, match=message):
             fit(demos, tmp_path / "e", config=config, num_seeds=2, seed=5)
         saved = tmp_path / "e" / "checkpoint" / "state.safetensors"
-        assert read_arrays_about(saved)[1] == {"step": broken}
+        assert read_arrays_and_metadata(saved)[1] == {"step": broken}
         assert all(np.isfinite(a).all() for a in read_arrays(saved).values())
     assert not (tmp_path / "e" / "embedding.json").exists()
 

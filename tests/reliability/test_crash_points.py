@@ -18,7 +18,7 @@ from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
-from planspace.storage.files import append_rows, is_row
+from planspace.storage.rows import append_rows, is_row
 from planspace.study.execute import _RUN, execute, is_done, read_result
 from planspace.study.run import open_results
 from planspace.study.unit import PlansUnit
@@ -97,7 +97,7 @@ def checkpoint() -> Artefact:
     def save(root: Path, step: int) -> None:
         saved = load_checkpoint(root, tree(0))
         if saved is None or saved[1]["step"] < step:
-            append_rows(root / "log.jsonl", [{"step": step}], number="step")
+            append_rows(root / "log.jsonl", [{"step": step}], key="step")
             save_checkpoint(root, tree(step), {"step": step})
 
     def read(root: Path) -> tuple[int, list[int]]:
@@ -150,7 +150,7 @@ def plan_at_once(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> None:
         dataset = DemoFolder(folder, demos.info, {"seed": unit.seed})
         for index in range(dataset.next_index, unit.num, unit.num // 2):
             to = index + unit.num // 2
-            append_rows(folder / "log.jsonl", [{"planned": to}], number="planned")
+            append_rows(folder / "log.jsonl", [{"planned": to}], key="planned")
             dataset.append([demos.episode(i) for i in range(index, to)], next_index=to)
         return {"hash": load_demos(folder).hash, "count": dataset.num_episodes}
 

@@ -17,7 +17,8 @@ from planspace.errors import PlanspaceError
 from planspace.figures.training_curves import read_log
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
-from planspace.storage.files import read_arrays, read_arrays_about, read_sealed
+from planspace.storage.arrays import read_arrays, read_arrays_and_metadata
+from planspace.storage.json_files import read_sealed
 from planspace.study.execute import folder_of, read_result, result_file
 from planspace.study.run import run_study, units_to_run
 
@@ -50,7 +51,7 @@ def files_of(out: Path) -> dict[Path, Callable[[], Any]]:
     files[trained / "history.safetensors"] = lambda: load_history(trained)
     for folder in (fitted, trained):
         path = folder / "checkpoint" / "state.safetensors"
-        files[path] = lambda path=path: read_arrays_about(path)
+        files[path] = lambda path=path: read_arrays_and_metadata(path)
     for unit in (PLANS, FIT, POLICY):
         files[result_file(unit, out)] = lambda unit=unit: read_result(unit, out)
     return files

@@ -20,7 +20,7 @@ from planspace.plan.planner import PlannerConfig
 from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
 from planspace.rl.rollout import Rollout
-from planspace.storage.files import read_arrays
+from planspace.storage.arrays import read_arrays
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task, find_task

@@ -32,7 +32,9 @@ from planspace.mjcf.read import read_model
 from planspace.mjcf.subprocess_model import compile_apart
 from planspace.rl.play import make_env
 from planspace.rl.saved_policy import load_policy, save_policies
-from planspace.storage.files import file_hash, read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.storage.arrays import read_arrays, write_arrays
+from planspace.storage.files import file_hash
+from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.tasks.problem_file import load_problem
 
 Read = Callable[[], Any]

@@ -32,18 +32,12 @@ from planspace.mjcf.compile import ASSETS
 from planspace.mjcf.read import read_model
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
+from planspace.storage.arrays import read_arrays, write_arrays
 from planspace.storage.checkpoint import FILE as CHECKPOINT
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
-from planspace.storage.files import (
-    append_rows,
-    file_hash,
-    json_hash,
-    read_arrays,
-    read_described,
-    read_sealed,
-    write_arrays,
-    write_sealed,
-)
+from planspace.storage.files import file_hash
+from planspace.storage.json_files import json_hash, read_description, read_sealed, write_sealed
+from planspace.storage.rows import append_rows
 from planspace.tasks.problem_file import _StrictLoader, load_problem
 
 from .disk import FAULTS, Dead, Fault, FaultyDisk, Interrupted
@@ -91,10 +85,10 @@ def test_a_row_that_was_cut_off_never_harms_the_next(rows: list[dict[str, Any]],
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.jsonl"
         for i, row in enumerate(rows):
-            append_rows(log, [{**row, "number": i}], number="number")
+            append_rows(log, [{**row, "number": i}], key="number")
         with open(log, "ab") as file:
             file.write(rest.replace(b"\n", b""))
-        append_rows(log, [{"number": len(rows)}], number="number")
+        append_rows(log, [{"number": len(rows)}], key="number")
         lines = log.read_bytes().splitlines()
         assert [json.loads(line)["number"] for line in lines] == list(range(len(rows) + 1))
 
@@ -259,7 +253,7 @@ def rearranged_safetensors(changes: list[tuple[float, float, Any]], data: bytes)
         file.write_bytes(data)
         size = int.from_bytes(data[:8], "little")
         about = json.loads(json.loads(data[8 : 8 + size])["__metadata__"]["planspace"])["about"]
-        write_arrays(file, rearranged(read_arrays(file), changes), about=about)
+        write_arrays(file, rearranged(read_arrays(file), changes), metadata=about)
         return file.read_bytes()
 
 
@@ -390,7 +384,7 @@ def repairing(name: str, changes: st.SearchStrategy[Change]) -> Callable[[Path],
 
 
 def read_unit(units: Path) -> dict[str, Any]:
-    return read_described(units / UNIT.name, kind="policies of a study", schema=1, name="unit")
+    return read_description(units / UNIT.name, kind="policies of a study", schema=1, name="unit")
 
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")

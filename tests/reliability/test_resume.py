@@ -29,7 +29,8 @@ from planspace.plan import generate as generate_module
 from planspace.plan.generate import generate
 from planspace.rl import train as rl_training
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig, ZMode
-from planspace.storage.files import read_arrays, read_sealed, write_sealed
+from planspace.storage.arrays import read_arrays
+from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.tasks.problem_file import load_problem
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER

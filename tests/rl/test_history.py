@@ -11,7 +11,7 @@ from planspace.errors import PlanspaceError
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
 from planspace.rl.train import train
-from planspace.storage.files import Arrays, read_arrays, write_arrays
+from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
 LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {

@@ -14,7 +14,8 @@ from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.play import make_env, play
 from planspace.rl.rollout import Actor
-from planspace.storage.files import read_arrays, read_sealed, write_arrays, write_sealed
+from planspace.storage.arrays import read_arrays, write_arrays
+from planspace.storage.json_files import read_sealed, write_sealed
 
 ARMS = {
     "plain": {},

@@ -27,8 +27,8 @@ from planspace.rl.observe import Observer
 from planspace.rl.policy import GaussianPolicy
 from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first_returns
 from planspace.rl.train import train
+from planspace.storage.arrays import read_arrays_and_metadata
 from planspace.storage.checkpoint import FILE
-from planspace.storage.files import read_arrays_about
 from planspace.tasks.task import TASKS, Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
@@ -121,7 +121,7 @@ def test_an_interrupt_while_saving_leaves_each_row_once(
     monkeypatch.setattr(module, name, interrupted)
     with pytest.raises(KeyboardInterrupt):
         train(SWING_UP, tmp_path)
-    assert read_arrays_about(tmp_path / FILE)[1] == {"iteration": 1}  # nothing that was done is lost
+    assert read_arrays_and_metadata(tmp_path / FILE)[1] == {"iteration": 1}  # nothing that was done is lost
     train(SWING_UP, tmp_path)
     rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [row["iteration"] for row in rows] == [1, 2, 3]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import read_sealed, write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.study import quickstart as module
 from planspace.study.quickstart import BUDGETS, closing_table, rebuild, run
 
@@ -79,7 +79,7 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
 def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) -> None:
     from planspace.demos.folder import load_demos
     from planspace.embed.embedding import load_embedding
-    from planspace.storage.files import read_arrays
+    from planspace.storage.arrays import read_arrays
     from planspace.study.quickstart_report import write_report
 
     out = tmp_path / "run"

@@ -11,7 +11,7 @@ import pytest
 
 from planspace.embed.config import PRESETS
 from planspace.rl.config import TrainConfig
-from planspace.storage.files import write_sealed
+from planspace.storage.json_files import write_sealed
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import SCHEMA, result_file
 from planspace.study.report import slug, write_report

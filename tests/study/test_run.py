@@ -16,7 +16,7 @@ from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
-from planspace.storage.files import write_sealed
+from planspace.storage.json_files import write_sealed
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim
 from planspace.study.execute import folder_of, is_done, read_result, result_file
@@ -158,9 +158,9 @@ def test_a_killed_worker_is_named_so_when_it_is_given_up(tmp_path: Path) -> None
 
 
 def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
-    from planspace.storage.files import locked
+    from planspace.storage.runs import lock_folder
 
-    with locked(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
+    with lock_folder(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
         run_study(TINY, copied)
     left_behind = copied / "units" / ".writing-x.json-123"
     left_behind.touch()

@@ -16,7 +16,10 @@ from planspace.embed import embedding
 from planspace.errors import PlanspaceError, printable
 from planspace.rl import history, saved_policy
 from planspace.storage import checkpoint
-from planspace.storage.files import is_row, move, read_arrays, read_bytes, read_sealed, remove, write_bytes
+from planspace.storage.arrays import read_arrays
+from planspace.storage.files import read_bytes, remove_file, rename_file, write_bytes
+from planspace.storage.json_files import read_sealed
+from planspace.storage.rows import is_row
 
 PREFIX = "damaged-"
 CHECKS: dict[str, Callable[[Path], Any]] = {
@@ -61,7 +64,7 @@ def _repair_one(folder: Path) -> Iterator[str]:
             if (folder / name).exists():
                 _set_aside(folder / name)
         for mark in MARKS:
-            remove(folder / mark)
+            remove_file(folder / mark)
         yield error
     if (folder / embedding.LOG).exists():
         yield from _mend_log(folder / embedding.LOG)
@@ -108,7 +111,7 @@ def _set_aside(file: Path) -> None:
     number = 1
     while (to := file.with_name(f"{PREFIX}{number}-{file.name}")).exists():
         number += 1
-    move(file, to)
+    rename_file(file, to)
 
 
 @dataclass(frozen=True)

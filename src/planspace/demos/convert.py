@@ -24,16 +24,11 @@ from planspace.demos.npz_files import export_npz, read_npz
 from planspace.demos.recording import Imported, ImportOptions, refuse
 from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
 from planspace.errors import PlanspaceError, UsageError, printable
-from planspace.progress import shown
-from planspace.storage.files import (
-    TEMPORARY_PREFIX,
-    file_hash,
-    json_hash,
-    locked,
-    make_folder,
-    within_memory,
-    write_bytes,
-)
+from planspace.progress import progress_over
+from planspace.storage.checks import explain_memory_error
+from planspace.storage.files import TEMPORARY_PREFIX, file_hash, make_folder, write_bytes
+from planspace.storage.json_files import json_hash
+from planspace.storage.runs import lock_folder
 
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """An imported shard ends with so many demonstrations, or the one that brings it to so many states."""
@@ -98,7 +93,7 @@ def _in_bounds(source: str) -> Iterator[None]:
     """Numbers that overflow are refused once they are not finite, without a warning before; as is a source
     that memory does not hold.
     """
-    with within_memory(source), np.errstate(over="ignore", invalid="ignore"):
+    with explain_memory_error(source), np.errstate(over="ignore", invalid="ignore"):
         yield
 
 
@@ -169,7 +164,9 @@ def _store(imported: Imported, out: Path, origin: dict[str, str], options: Impor
         about = {**origin, "problem": demos.info.problem, "content": demos.hash}
         folder = DemoFolder(out, demos.info, about)
         missing = itertools.islice(demos.episodes(), folder.num_episodes, None)
-        _append_all(folder, shown(missing, "store", unit="demo", total=len(demos) - folder.num_episodes))
+        _append_all(
+            folder, progress_over(missing, "store", unit="demo", total=len(demos) - folder.num_episodes)
+        )
     return folder
 
 
@@ -181,7 +178,7 @@ def _stage_in(out: Path) -> Iterator[Path]:
     try:
         if stage.is_symlink():  # not ours: what it leads to is left alone
             stage.unlink()
-        with locked(make_folder(stage)):
+        with lock_folder(make_folder(stage)):
             for name in (RECORDED, EVEN):  # what a kill left behind
                 _remove(stage / name)
             try:
@@ -206,14 +203,14 @@ def _in_order(imported: Imported, source: str, options: ImportOptions, stage: Pa
     info, notices = imported.info, list(imported.notices)
     if not info.names:
         raise PlanspaceError(f"{source}: its states have no numbers.")
-    checked = shown(_checked(imported, source, options), "read", unit="demo")
+    checked = progress_over(_checked(imported, source, options), "read", unit="demo")
     demos = _lay_down(stage / RECORDED, source, info, checked)
     step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), info)
     if step is not None:
         count = sum(not has_step(episode, step) for episode in demos.episodes())
         notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
         resampled = (resample(episode, info, step) for episode in demos.episodes())
-        resampled = shown(resampled, "resample", unit="demo", total=len(demos))
+        resampled = progress_over(resampled, "resample", unit="demo", total=len(demos))
         demos = _lay_down(stage / EVEN, source, info, resampled)
         _remove(stage / RECORDED)
     for notice in notices:

@@ -20,7 +20,7 @@ from planspace.demos.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Colum
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
 from planspace.errors import PlanspaceError, quoted
-from planspace.storage.files import check_file, explain_read
+from planspace.storage.checks import check_file, explain_read
 
 MAX_LINE = 1 << 24
 """Characters of a line; what has more is no table, and may have no end."""

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from planspace.errors import PlanspaceError
 from planspace.mjcf.compile import load_model
 from planspace.physics.space import StateSpace
-from planspace.storage.files import json_hash
+from planspace.storage.json_files import json_hash
 
 SPLIT_SHARES = {"train": 0.8, "validation": 0.1}
 """Shares of the demonstrations; the rest is the test split."""

@@ -11,7 +11,7 @@ from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
 from planspace.errors import PlanspaceError
 from planspace.mjcf.subprocess_model import compile_apart
 from planspace.physics.simulate import replay
-from planspace.progress import shown
+from planspace.progress import progress_over
 
 REPLAY_TOLERANCE = 1e-6
 """Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
@@ -59,7 +59,7 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
     if replay_controls and untrusted:
         compile_apart(demos.info.mjcf)
     worst = 0.0
-    for first, part in shown(_parts(demos), "validate", unit="shard"):
+    for first, part in progress_over(_parts(demos), "validate", unit="shard"):
         _check_numbers(part, first, folder)
         _check_times(part, first, folder)
         if replay_controls:

@@ -19,19 +19,11 @@ from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos, Episode, StateInfo, check_info, content_hash, split
 from planspace.errors import PlanspaceError
-from planspace.storage.files import (
-    check_file,
-    damaged,
-    differences,
-    make_folder,
-    read_array,
-    read_arrays,
-    read_described,
-    refusing_nonsense,
-    within_memory,
-    write_arrays,
-    write_sealed,
-)
+from planspace.storage.arrays import read_array, read_arrays, write_arrays
+from planspace.storage.checks import check_file, damage_error, explain_memory_error, reject_malformed
+from planspace.storage.files import make_folder
+from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.runs import list_differences
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -105,7 +97,7 @@ class StoredDemos:
         Raises:
             PlanspaceError: a shard is missing or altered (it is named).
         """
-        with within_memory(self.path):
+        with explain_memory_error(self.path):
             parts = [self._read(shard) for shard in self._shards]
             offsets = _end_to_end([part.pop("offsets") for part in parts])
             names = [name for name in ARRAYS if name != "offsets"]
@@ -154,7 +146,7 @@ class StoredDemos:
         return states
 
     def _read(self, shard: dict[str, Any]) -> dict[str, np.ndarray]:
-        with refusing_nonsense(self.path / MANIFEST):
+        with reject_malformed(self.path / MANIFEST):
             return _read_shard(self.path, shard, self.info)
 
     def _verify(self) -> None:
@@ -163,7 +155,7 @@ class StoredDemos:
                 pass
 
     def _each(self, name: str) -> Iterator[np.ndarray]:
-        with refusing_nonsense(self.path / MANIFEST):
+        with reject_malformed(self.path / MANIFEST):
             files = [_shard_file(self.path, shard) for shard in self._shards]
         return (read_array(file, name) for file in files)
 
@@ -189,7 +181,7 @@ class DemoFolder:
         if (path / MANIFEST).exists():
             manifest, _ = _described(path)
             if manifest["settings"] != json.loads(json.dumps(settings)):
-                was = "; ".join(differences(manifest["settings"], settings))
+                was = "; ".join(list_differences(manifest["settings"], settings))
                 raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
             self.shards = manifest["shards"]
             self.next_index = manifest["next_index"]
@@ -243,7 +235,7 @@ def keep_whole_shards(path: Path) -> list[tuple[Path, str]]:
     for number, shard in enumerate(manifest["shards"]):
         name = str(shard["file"]) if SHARD_NAME.fullmatch(str(shard["file"])) else _shard_name(number)
         try:
-            with refusing_nonsense(path / MANIFEST):
+            with reject_malformed(path / MANIFEST):
                 next_index = int(_read_shard(path, shard, info)["indices"][-1]) + 1
         except PlanspaceError as error:
             kept = {"shards": manifest["shards"][:number], "next_index": next_index}
@@ -257,8 +249,8 @@ def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
     file = path / MANIFEST
     if not file.exists():
         raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
-    manifest = read_described(file, kind="demos", schema=SCHEMA, name="demo dataset")
-    with refusing_nonsense(file):
+    manifest = read_description(file, kind="demos", schema=SCHEMA, name="demo dataset")
+    with reject_malformed(file):
         known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
         known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}
         info = StateInfo(**known)
@@ -284,9 +276,9 @@ def _read_shard(path: Path, shard: dict[str, Any], info: StateInfo) -> dict[str,
     most = HEADER_BYTES + 8 * sum(math.prod(shape) for shape in _shapes(shard, info).values())
     check_file(file)
     if (size := file.stat().st_size) > most:
-        raise damaged(file, f"it has {size} bytes, its manifest says at most {most}")
+        raise damage_error(file, f"it has {size} bytes, its manifest says at most {most}")
     arrays = read_arrays(file, sha256=str(shard["sha256"]))
-    with refusing_nonsense(file):
+    with reject_malformed(file):
         _check_arrays(arrays, shard, info)
     return {name: arrays[name] for name in ARRAYS}
 

@@ -27,7 +27,8 @@ from planspace.demos.columns import NO_CONTROLS, Columns, choose_columns
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
 from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.storage.files import MAX_JSON_BYTES, read_bytes
+from planspace.storage.checks import MAX_JSON_BYTES
+from planspace.storage.files import read_bytes
 
 TRAILING_COMMA = re.compile(r'"(?:[^"\\]|\\.)*+"?|[\[{]\s*,|,(?=\s*[\]}])', re.DOTALL)
 """Texts and a comma that opens a list are matched so as to be passed over; a text without an end goes to the

@@ -24,7 +24,7 @@ from planspace.demos.observations import choose_states, flat
 from planspace.demos.recorded_task import RecordedTask, recorded_task
 from planspace.demos.recording import Imported, ImportOptions, anonymous_info, check_rising, recorded
 from planspace.errors import PlanspaceError, UsageError
-from planspace.storage.files import read_json
+from planspace.storage.json_files import read_json
 
 METADATA_KEY = "planspace"
 """Where our exporter keeps what Minari has no field for, of the dataset and of each episode."""

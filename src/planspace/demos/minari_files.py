@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import MAX_BYTES, MAX_JSON_BYTES, check_file, explain_read
+from planspace.storage.checks import MAX_BYTES, MAX_JSON_BYTES, check_file, explain_read
 
 HDF5 = "main_data.hdf5"
 """Where Minari keeps the episodes, in this format."""

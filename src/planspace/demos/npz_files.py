@@ -17,7 +17,8 @@ import numpy as np
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.recording import Imported, anonymous_info, check_rising, recorded
 from planspace.errors import PlanspaceError
-from planspace.storage.files import MAX_BYTES, check_file, explain_read, write_bytes
+from planspace.storage.checks import MAX_BYTES, check_file, explain_read
+from planspace.storage.files import write_bytes
 
 KEYS = ("states", "controls", "time", "offsets")
 COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

@@ -20,16 +20,10 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.support import Support
 from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.storage.files import (
-    CONFIG,
-    Arrays,
-    make_folder,
-    read_arrays,
-    read_described,
-    refusing_nonsense,
-    write_arrays,
-    write_sealed,
-)
+from planspace.storage.arrays import Arrays, read_arrays, write_arrays
+from planspace.storage.checks import CONFIG, reject_malformed
+from planspace.storage.files import make_folder
+from planspace.storage.json_files import read_description, write_sealed
 
 SCHEMA = 2
 WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
@@ -365,8 +359,8 @@ def load_embedding(path: str | Path) -> Embedding:
         if path.name == DESCRIPTION and path.exists():
             raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
-    text = read_described(path / DESCRIPTION, kind="embedding", schema=SCHEMA, name="embedding")
-    with refusing_nonsense(path / DESCRIPTION):
+    text = read_description(path / DESCRIPTION, kind="embedding", schema=SCHEMA, name="embedding")
+    with reject_malformed(path / DESCRIPTION):
         embedding = _assembled(path, text)
         _try_out(embedding, text["z_dim"])
     return embedding

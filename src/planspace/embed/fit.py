@@ -40,7 +40,9 @@ from planspace.embed.samples import Samples, make_samples
 from planspace.embed.support import Support
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError
-from planspace.storage.files import append_rows, open_run, write_bytes
+from planspace.storage.files import write_bytes
+from planspace.storage.rows import append_rows
+from planspace.storage.runs import open_run
 from planspace.storage.tracking import Tracker, open_tracker
 
 MEASURED = 20
@@ -219,7 +221,7 @@ class _Log:
         if step // every > before // every or step == self.steps:
             measured = [measure(e, self.demos, self.split["validation"]) for e in current]
             row |= {name: [getattr(g, name) for g in measured] for name in CURVES}
-        append_rows(self.path, [{"step": step, "time": time.time(), **row}], number="step")
+        append_rows(self.path, [{"step": step, "time": time.time(), **row}], key="step")
         if self.tracker is not None:
             for i, seed in enumerate(self.seeds):
                 self.tracker.add(step, {f"{name}/seed {seed}": values[i] for name, values in row.items()})

@@ -20,7 +20,7 @@ from planspace.embed.geometry import (
 )
 from planspace.errors import PlanspaceError
 from planspace.progress import progress
-from planspace.storage.files import MAX_BYTES, check_file
+from planspace.storage.checks import MAX_BYTES, check_file
 
 TRUTH_KEYS = ("states", "time", "goal")
 SPLITS = ("train", "validation", "test")

@@ -11,7 +11,8 @@ from planspace.embed.measurement import split_of
 from planspace.figures.embedding import paths_html, plot_distance_against_time, plot_paths
 from planspace.figures.style import save_figure
 from planspace.figures.training_curves import plot_training, read_log
-from planspace.storage.files import make_folder, refusing_nonsense, write_bytes
+from planspace.storage.checks import reject_malformed
+from planspace.storage.files import make_folder, write_bytes
 
 
 def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) -> None:
@@ -40,5 +41,5 @@ def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) 
 def _curves(embedding: Embedding, folder: Path) -> matplotlib.figure.Figure:
     seeds = embedding.about.get("settings", {}).get("seeds")
     kept = list(seeds).index(embedding.about["seed"]) if seeds else None
-    with refusing_nonsense(folder / LOG):
+    with reject_malformed(folder / LOG):
         return plot_training(read_log(folder), kept, seeds)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from planspace.figures.style import COLOURS
-from planspace.storage.files import Arrays
+from planspace.storage.arrays import Arrays
 
 SMOOTHING = 10
 """Iterations in the moving average of a learning curve."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planspace.errors import PlanspaceError
 from planspace.mjcf.model_budget import CELLS, MAX_DEPTH, MOST, check_demands
-from planspace.storage.files import check_file, explain_read
+from planspace.storage.checks import check_file, explain_read
 
 MAX_ASSET_BYTES = 64 << 20
 """Of a file."""

@@ -21,7 +21,9 @@ from planspace.physics.simulate import Simulator
 from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.progress import progress
-from planspace.storage.files import append_rows, read_bytes, refusing_nonsense
+from planspace.storage.checks import reject_malformed
+from planspace.storage.files import read_bytes
+from planspace.storage.rows import append_rows
 from planspace.tasks.problem import Problem
 from planspace.workers import count_cores, end_with_parent, worker_environment
 
@@ -96,7 +98,7 @@ def _extend(
 
     def save() -> None:
         row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
-        append_rows(folder.path / LOG, [row], number="planned")  # first, so that none is missing
+        append_rows(folder.path / LOG, [row], key="planned")  # first, so that none is missing
         folder.append(batch, next_index)
         batch.clear()
         failures.clear()
@@ -129,7 +131,7 @@ def _report_missing(folder: DemoFolder) -> None:
     missing = folder.next_index - folder.num_episodes
     if not missing:
         return
-    with refusing_nonsense(folder.path / LOG):
+    with reject_malformed(folder.path / LOG):
         rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
         failures = [failure for row in rows for failure in row["failures"]]
         near = [failure for failure in failures if failure["nearest"] is not None]

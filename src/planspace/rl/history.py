@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import Arrays, read_arrays, refusing_nonsense
+from planspace.storage.arrays import Arrays, read_arrays
+from planspace.storage.checks import reject_malformed
 
 HISTORY = "history.safetensors"
 HISTORY_KEYS = (
@@ -41,7 +42,7 @@ def load_history(run: Path, shape: tuple[int, int] | None = None) -> Arrays:
     if not (run / HISTORY).exists():
         raise PlanspaceError(f"{run} holds no finished training: it has no {HISTORY}.")
     history = read_arrays(run / HISTORY)
-    with refusing_nonsense(run / HISTORY):
+    with reject_malformed(run / HISTORY):
         _check(history, shape or history["return"].shape)
     return history
 

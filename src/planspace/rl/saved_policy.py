@@ -18,14 +18,9 @@ from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.rl.config import ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Stack
-from planspace.storage.files import (
-    Arrays,
-    read_arrays,
-    read_described,
-    refusing_nonsense,
-    write_arrays,
-    write_sealed,
-)
+from planspace.storage.arrays import Arrays, read_arrays, write_arrays
+from planspace.storage.checks import reject_malformed
+from planspace.storage.json_files import read_description, write_sealed
 from planspace.tasks.observation_types import OBSERVATION_TYPES, RewardType
 
 SCHEMA = 1
@@ -118,8 +113,8 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
         raise PlanspaceError(
             f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
         )
-    about = read_described(run / DESCRIPTION, kind="policies", schema=SCHEMA, name="policies")
-    with refusing_nonsense(run / DESCRIPTION):
+    about = read_description(run / DESCRIPTION, kind="policies", schema=SCHEMA, name="policies")
+    with reject_malformed(run / DESCRIPTION):
         return _assembled(run, about, seed)
 
 

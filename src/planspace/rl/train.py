@@ -36,8 +36,10 @@ from planspace.rl.observe import Observer
 from planspace.rl.rollout import Actor, collect, episode_returns, first_returns
 from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.rl.shaping import Shaping
+from planspace.storage.arrays import Arrays, write_arrays
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
-from planspace.storage.files import Arrays, append_rows, open_run, write_arrays
+from planspace.storage.rows import append_rows
+from planspace.storage.runs import open_run
 from planspace.storage.tracking import TrackerName, open_trackers
 from planspace.tasks.task import Task, find_reward_type, find_task
 from planspace.workers import count_cores
@@ -190,7 +192,7 @@ def _run(arm: _Arm, state: _State, first: int, out: Path, track: Sequence[Tracke
                     row[EVALUATION] = state.history[EVALUATION][config.evaluations.index(i + 1)].tolist()
                 rows.append({"iteration": i + 1, "saved": time.time(), **without_nan(row)})
                 add_scalars((i + 1) * arm.steps, scalars(row, config.seeds))
-            append_rows(out / "log.jsonl", rows, number="iteration")
+            append_rows(out / "log.jsonl", rows, key="iteration")
             save_checkpoint(out, state, {"iteration": done})
 
         try:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import make_folder, read_arrays_about, write_arrays
+from planspace.storage.arrays import read_arrays_and_metadata, write_arrays
+from planspace.storage.files import make_folder
 
 Tree = TypeVar("Tree")
 
@@ -26,7 +27,7 @@ def save_checkpoint(folder: Path, tree: Any, about: dict[str, Any]) -> None:
     """
     make_folder((folder / FILE).parent)
     arrays = {name: np.asarray(leaf) for name, leaf in _named_leaves(tree).items()}
-    write_arrays(folder / FILE, arrays, about=about)
+    write_arrays(folder / FILE, arrays, metadata=about)
 
 
 def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
@@ -45,7 +46,7 @@ def load_checkpoint(folder: Path, like: Tree) -> tuple[Tree, dict[str, Any]] | N
     path = folder / FILE
     if not path.exists():
         return None
-    saved, about = read_arrays_about(path)
+    saved, about = read_arrays_and_metadata(path)
     wanted = _named_leaves(like)
     for name, leaf in wanted.items():
         if name not in saved or saved[name].shape != leaf.shape or saved[name].dtype != leaf.dtype:

@@ -20,7 +20,9 @@ from shutil import rmtree
 from typing import Any
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.storage.files import differences, json_hash, locked, make_folder, read_bytes, write_bytes
+from planspace.storage.files import make_folder, read_bytes, write_bytes
+from planspace.storage.json_files import json_hash
+from planspace.storage.runs import list_differences, lock_folder
 from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
 from planspace.study.pool import REFRESH_S, named
 from planspace.study.unit import Unit
@@ -154,12 +156,12 @@ def run_remotely(
     Raises:
         PlanspaceError: a library is another version here, or the unit failed.
     """
-    if other := list(differences(versions, VERSIONS)):
+    if other := list(list_differences(versions, VERSIONS)):
         raise PlanspaceError(f"a worker has other versions: {'; '.join(other)}.")
     scratch = make_folder(Path(tempfile.gettempdir()) / f"planspace-{getpass.getuser()}")
     with _own_core(scratch):
         out = make_folder(scratch / f"{unit.name}-{json_hash(versions)[:8]}")
-        with locked(out):
+        with lock_folder(out):
             for need in unit.needs:
                 lay_down(folder_of(need, out), needed[need.name])
             execute(unit, out)
@@ -175,7 +177,7 @@ def _own_core(scratch: Path) -> Iterator[None]:
     with ExitStack() as held:
         for core in cores if hasattr(os, "sched_setaffinity") else ():
             try:
-                held.enter_context(locked(make_folder(scratch / f"core-{core}")))
+                held.enter_context(lock_folder(make_folder(scratch / f"core-{core}")))
             except PlanspaceError:  # another task is on it
                 continue
             os.sched_setaffinity(0, {core})

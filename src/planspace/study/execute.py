@@ -31,7 +31,8 @@ from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
 from planspace.storage.compiled import keep_compiled
-from planspace.storage.files import make_folder, read_described, write_bytes, write_sealed
+from planspace.storage.files import make_folder, write_bytes
+from planspace.storage.json_files import read_description, write_sealed
 from planspace.study.plans_2020 import wound_plans
 from planspace.study.stick_figure import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
@@ -77,7 +78,9 @@ def read_result(unit: Unit, out: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: it is damaged, or was written by a newer planspace.
     """
-    return read_described(result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA, name="unit")
+    return read_description(
+        result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA, name="unit"
+    )
 
 
 def execute(unit: Unit, out: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import read_json, write_json
+from planspace.storage.json_files import read_json, write_json
 from planspace.study.execute import execute
 from planspace.study.unit import Unit
 from planspace.workers import available_cores, count_cores, end_with_parent, worker_environment

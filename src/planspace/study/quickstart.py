@@ -19,7 +19,10 @@ from planspace.plan.planner import PlannerConfig
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.train import train
-from planspace.storage.files import CONFIG, Arrays, open_run, read_json, refusing_nonsense, write_json
+from planspace.storage.arrays import Arrays
+from planspace.storage.checks import CONFIG, reject_malformed
+from planspace.storage.json_files import read_json, write_json
+from planspace.storage.runs import open_run
 from planspace.study.quickstart_report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import find_task
@@ -114,7 +117,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
         label: train(config, out / "train" / folder, [] if config.z == "none" else [embedding])
         for label, folder, config in arms
     }
-    with refusing_nonsense(out / "embedding" / DESCRIPTION):
+    with reject_malformed(out / "embedding" / DESCRIPTION):
         geometry = _geometry(embedding.about)
     summary = summarise(task_name, budget_name, seed, demos, geometry, histories)
     reports = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]

@@ -12,7 +12,8 @@ from planspace.figures.demos import plot_demos
 from planspace.figures.embedding import interactive_paths
 from planspace.figures.learning_curves import SMOOTHING, learning_curve, plot_curves
 from planspace.figures.style import save_figure
-from planspace.storage.files import Arrays, make_folder
+from planspace.storage.arrays import Arrays
+from planspace.storage.files import make_folder
 from planspace.study.figures import interactive_curves, plain_layout, plot_paths
 from planspace.study.html import embedded, write_page
 

@@ -12,7 +12,9 @@ from planspace.errors import PlanspaceError
 from planspace.figures.learning_curves import MAX_BANDS, SMOOTHING, Curve, learning_curve, plot_curves
 from planspace.figures.style import save_figure
 from planspace.figures.training_curves import plot_training
-from planspace.storage.files import CONFIG, make_folder, read_json, write_bytes
+from planspace.storage.checks import CONFIG
+from planspace.storage.files import make_folder, write_bytes
+from planspace.storage.json_files import read_json
 from planspace.study import stats
 from planspace.study.design import Arm
 from planspace.study.execute import KEPT_EVERY

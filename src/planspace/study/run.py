@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from planspace.progress import progress
-from planspace.storage.files import TEMPORARY_PREFIX, locked, make_folder, open_run
+from planspace.storage.files import TEMPORARY_PREFIX, make_folder
+from planspace.storage.runs import lock_folder, open_run
 from planspace.study.design import Study
 from planspace.study.eta import Pace
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
@@ -63,7 +64,7 @@ def run_study(
     """
     open_results(out)
     make_folder(out / "work")
-    with locked(out):
+    with lock_folder(out):
         for left_behind in (out / "units").glob(f"{TEMPORARY_PREFIX}*"):  # by a kill in the middle of a write
             left_behind.unlink()
         state = _State(units_to_run(study, out))

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from planspace.embed.config import FitConfig
 from planspace.rl.config import TrainConfig
-from planspace.storage.files import json_hash
+from planspace.storage.json_files import json_hash
 from planspace.tasks.problem_file import load_problem
 
 PlanSource = Literal["plan", "2020"]

@@ -12,7 +12,7 @@ from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import GeomPairs, load_model
 from planspace.physics.simulate import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
-from planspace.storage.files import json_hash
+from planspace.storage.json_files import json_hash
 
 IDLE_COST = 0.1
 """Effort counts a second of rest like a tenth of a second at full control, so that plans end."""
