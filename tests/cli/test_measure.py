@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.storage.files import read_sealed, write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 
 from .calls import call
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from planspace.storage.files import read_sealed, write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 
 from .calls import call
 
