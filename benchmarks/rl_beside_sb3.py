@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.figures.learning_curves import learning_curve, plot_curves
+from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS, PRESETS, Algo, LearnerConfig, TrainConfig
+from planspace.rl.learning_curve import learning_curve
 from planspace.rl.train import train
 from planspace.storage.files import write_bytes
 from planspace.storage.json_files import read_json

@@ -17,10 +17,11 @@ import numpy as np
 
 from planspace.cli import main as planspace
 from planspace.errors import PartialResult
-from planspace.figures.learning_curves import SMOOTHING, Curve, learning_curve, plot_curves
+from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.history import load_history
+from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
 from planspace.storage.files import write_bytes
 from planspace.storage.json_files import read_json
 

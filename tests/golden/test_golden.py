@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planspace.cli.repair import repair
-from planspace.figures.training_curves import read_log
+from planspace.embed.training_log import read_log
 
 from .make import read
 

@@ -13,8 +13,8 @@ import pytest
 from planspace.cli.repair import repair
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import load_embedding
+from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
-from planspace.figures.training_curves import read_log
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
 from planspace.storage.arrays import read_arrays, read_arrays_and_metadata

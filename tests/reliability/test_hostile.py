@@ -654,13 +654,14 @@ def test_problems_that_do_harm(trick: str, models: Path, tmp_path: Path) -> None
 def test_names_stay_text_in_a_page_of_paths(embedding: Embedding, demos: Demos) -> None:
     from dataclasses import replace
 
-    from planspace.figures.embedding import paths_html
+    from planspace.figures.interactive_paths import paths_html
+    from planspace.figures.paths import embedded_paths
 
     evil = "</script><script>alert(1)</script>"
     names = (evil, *demos.info.names[1:])
     inputs = replace(embedding.inputs, names=names)
     shown = replace(demos, info=replace(demos.info, names=names, problem=evil))
-    page = paths_html(replace(embedding, inputs=inputs), shown, np.arange(3))
+    page = paths_html(embedded_paths(replace(embedding, inputs=inputs), shown, np.arange(3)))
     assert evil not in page
 
 

@@ -26,8 +26,8 @@ from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.demos.minari import write_minari
 from planspace.embed.embedding import load_embedding
+from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
-from planspace.figures.training_curves import read_log
 from planspace.mjcf.compile import ASSETS
 from planspace.mjcf.read import read_model
 from planspace.rl.history import load_history

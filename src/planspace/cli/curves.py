@@ -26,9 +26,10 @@ class Curves:
 
     def __call__(self) -> None:
         """Draw and save the figure."""
-        from planspace.figures.learning_curves import learning_curve, plot_curves
+        from planspace.figures.learning_curves import plot_curves
         from planspace.figures.style import save_figure
         from planspace.rl.history import load_history
+        from planspace.rl.learning_curve import learning_curve
         from planspace.storage.files import make_folder
 
         if not self.runs:

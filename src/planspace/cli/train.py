@@ -69,10 +69,11 @@ class Train:
     def __call__(self) -> None:
         """Trains and prints the returns at the end."""
         from planspace.embed.embedding import load_embedding
-        from planspace.figures.learning_curves import learning_curve, plot_curves
+        from planspace.figures.learning_curves import plot_curves
         from planspace.figures.style import save_figure
         from planspace.rl.config import TrainConfig
         from planspace.rl.history import frozen_seeds
+        from planspace.rl.learning_curve import learning_curve
         from planspace.rl.train import num_episodes, train
         from planspace.storage.compiled import keep_compiled
         from planspace.tasks.task import TASKS, find_task

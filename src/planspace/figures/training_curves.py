@@ -1,73 +1,55 @@
-"""The curves of an embedding's training: reading its log, and the paper's figure of it."""
+"""Draw the training of an embedding, one line per seed, as in the paper's figure."""
 
-import json
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import matplotlib.figure
 import matplotlib.ticker
 import numpy as np
 from jaxtyping import Float
 
-from planspace.embed.embedding import LOG
+from planspace.embed.training_log import LogRow
 from planspace.errors import PlanspaceError
 from planspace.figures.style import COLOURS
-from planspace.storage.files import read_bytes
 
-WINDOW_SHARE, MIN_WINDOW = 0.05, 3
-"""Rows of the log in the rolling mean: a share of all, and at least so many."""
+WINDOW_FRACTION, MIN_WINDOW = 0.05, 3
+"""Length of the rolling mean: a fraction of the rows in the log, and at least this many rows."""
 CURVES = (
     ("path_error", "path error on the training demonstrations", "path error"),
-    ("bound", "what is maximised", "bound per triplet [nats]"),
+    ("bound", "objective (maximised)", "bound per triplet [nats]"),
 )
-"""Fields of a log's row, the panel's title and its axis."""
-EARLY_SHARE, EARLY_STRETCH = 0.1, 3.0
-"""A curve's early part is cut off where it would squeeze the rest to less than about a third of the axis."""
+"""For each panel: a key of `LogRow`, the title, and the label of the y axis."""
+EARLY_FRACTION, MAX_STRETCH = 0.1, 3.0
+"""If the first 10 % of the training would stretch the y axis to more than about 3 times what the rest needs,
+they are clipped."""
+Values = Float[np.ndarray, "row seed"]
 
 
-def read_log(folder: Path) -> list[dict[str, Any]]:
-    """Reads the curves of a training, in order of steps.
+class Rolling(NamedTuple):
+    """Statistics of the rows around each row."""
 
-    Of a step that is there twice the later row counts; a last line cut off by a crash is passed over.
-
-    Args:
-        folder: an embedding's folder, which holds log.jsonl.
-
-    Raises:
-        PlanspaceError: there is no log, or a line before the last is damaged.
-    """
-    path = folder / LOG
-    lines = read_bytes(path).decode(errors="replace").splitlines()
-    rows: dict[int, dict[str, Any]] = {}
-    for number, line in enumerate(lines, start=1):
-        try:
-            row = json.loads(line)
-            rows[int(row["step"])] = row
-        except (ValueError, KeyError, TypeError) as error:
-            if number == len(lines):
-                break
-            raise PlanspaceError(
-                f"{path}, line {number} is damaged ({error}); `planspace repair {folder}` leaves it out."
-            ) from error
-    return [rows[step] for step in sorted(rows)]
+    mean: Values
+    low: Values
+    """Minimum."""
+    high: Values
+    """Maximum."""
 
 
 def plot_training(
-    log: Sequence[Mapping[str, Any]],
-    kept: int | None = None,
+    log: Sequence[LogRow],
+    selected: int | None = None,
     seeds: Sequence[int] | None = None,
-    title: str = "Training, seed by seed",
+    title: str = "Training, one line per seed",
 ) -> matplotlib.figure.Figure:
-    """Draws the curves of a training, one a seed, as the paper's figure of it does.
+    """Draw path error and objective against optimiser steps.
 
-    Lines are rolling means, bands the range of what they are means of.
+    Lines are rolling means. Bands show the minimum and maximum over the same rows.
 
     Args:
-        log: rows as `read_log` gives them: a step, and for each curve a number a seed.
-        kept: which seed was kept, counted from 0; it is drawn thicker.
-        seeds: the seeds themselves, to name them by; by default they are counted.
-        title: what it is of.
+        log: the rows of the log, see `read_log`.
+        selected: the position of the selected seed, which is drawn thicker.
+        seeds: the seeds, for the legend; by default 0, 1, 2, ...
+        title: the title of the figure.
 
     Raises:
         PlanspaceError: the log has no rows with a path error and a bound.
@@ -76,20 +58,9 @@ def plot_training(
     for axes, (name, what, label) in zip(figure.subplots(1, 2), CURVES, strict=True):
         rows = [row for row in log if name in row]
         if not rows:
-            raise PlanspaceError(f"the log has no row with {name!r}; there is nothing to draw.")
+            raise PlanspaceError(f"the log has no row with {name!r}, so there is nothing to draw.")
         steps = np.array([row["step"] for row in rows])
-        values = np.array([row[name] for row in rows], dtype=float)
-        mean, low, high = rolling(values, _window(len(rows)))
-        marker = "o" if len(rows) == 1 else None  # a line through one point would not be seen
-        for i in range(values.shape[1]):
-            colour = COLOURS[i % len(COLOURS)]
-            seed = f"seed {i if seeds is None else seeds[i]}" + (", kept" if i == kept else "")
-            width, order = (3.0, 3) if i == kept else (1.3, 2)
-            axes.fill_between(steps, low[:, i], high[:, i], color=colour, alpha=0.18, linewidth=0)
-            axes.plot(
-                steps, mean[:, i], color=colour, linewidth=width, zorder=order, label=seed, marker=marker
-            )
-        _cut_early(axes, mean, low, high)
+        _draw_seeds(axes, steps, np.array([row[name] for row in rows], dtype=float), selected, seeds)
         axes.set_title(what, loc="left")
         axes.set_ylabel(label)
         axes.set_xlabel("optimiser steps")
@@ -97,21 +68,32 @@ def plot_training(
         axes.spines[["top", "right"]].set_visible(False)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
-    figure.suptitle(
-        f"{title}: rolling mean of {_window(len(log))} rows of the log, and their range",
-        x=0.02,
-        ha="left",
-    )
+    what = f"rolling mean and range over {_window(len(log))} log rows"
+    figure.suptitle(f"{title} ({what})", x=0.02, ha="left")
     return figure
 
 
-def rolling(
-    values: Float[np.ndarray, "row seed"], window: int
-) -> tuple[Float[np.ndarray, "row seed"], Float[np.ndarray, "row seed"], Float[np.ndarray, "row seed"]]:
-    """Mean, least and greatest over the rows around each, fewer at either end."""
+def _draw_seeds(
+    axes: Any, steps: np.ndarray, values: Values, selected: int | None, seeds: Sequence[int] | None
+) -> None:
+    smooth = rolling(values, _window(len(values)))
+    marker = "o" if len(values) == 1 else None  # a line through one point is invisible
+    for i in range(values.shape[1]):
+        colour = COLOURS[i % len(COLOURS)]
+        label = f"seed {i if seeds is None else seeds[i]}" + (", selected" if i == selected else "")
+        width, order = (3.0, 3) if i == selected else (1.3, 2)
+        axes.fill_between(steps, smooth.low[:, i], smooth.high[:, i], color=colour, alpha=0.18, linewidth=0)
+        axes.plot(
+            steps, smooth.mean[:, i], color=colour, linewidth=width, zorder=order, label=label, marker=marker
+        )
+    _clip_start(axes, smooth)
+
+
+def rolling(values: Values, window: int) -> Rolling:
+    """Mean, minimum and maximum over `window` rows around each row; fewer at both ends."""
     before, after = (window - 1) // 2, window // 2
     parts = [values[max(i - before, 0) : i + after + 1] for i in range(len(values))]
-    return (
+    return Rolling(
         np.stack([p.mean(axis=0) for p in parts]),
         np.stack([p.min(axis=0) for p in parts]),
         np.stack([p.max(axis=0) for p in parts]),
@@ -119,13 +101,13 @@ def rolling(
 
 
 def _window(num_rows: int) -> int:
-    """An odd number of rows, so that each stands in the middle of its window."""
-    return max(MIN_WINDOW, round(WINDOW_SHARE * num_rows)) // 2 * 2 + 1
+    """Length of the rolling mean; odd, so that each row is in the middle of its window."""
+    return max(MIN_WINDOW, round(WINDOW_FRACTION * num_rows)) // 2 * 2 + 1
 
 
-def _cut_early(axes: Any, mean: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    top = float(high.max())
-    later = float(mean[int(EARLY_SHARE * len(mean)) :].min())
-    bottom = top - EARLY_STRETCH * (top - later)
-    if low.min() < bottom < top:
+def _clip_start(axes: Any, smooth: Rolling) -> None:
+    top = float(smooth.high.max())
+    later = float(smooth.mean[int(EARLY_FRACTION * len(smooth.mean)) :].min())
+    bottom = top - MAX_STRETCH * (top - later)
+    if smooth.low.min() < bottom < top:
         axes.set_ylim(bottom, top + 0.05 * (top - bottom))

@@ -22,9 +22,9 @@ from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit
+from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
-from planspace.figures.embedding import principal
-from planspace.figures.training_curves import read_log
+from planspace.figures.projection import principal_components
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.rl.play import play
@@ -189,7 +189,7 @@ def _paths(embedding: Embedding, demos: Demos) -> list[list[list[float]]]:
     test = embedding.about["split"]["test"][:PATHS]
     rows = [used.offsets[i] + _some(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
     z = [embedding.encode(used.states[part]) for part in rows]
-    flat, _ = principal(np.concatenate(z), min(3, embedding.z_dim))
+    flat, _ = principal_components(np.concatenate(z), min(3, embedding.z_dim))
     parts = np.split(flat, np.cumsum([len(part) for part in z])[:-1])
     return [_round_all(part, 3) for part in parts]
 

@@ -10,10 +10,10 @@ import plotly.graph_objects as go
 
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
-from planspace.figures.demos import COLOURMAP, time_left_scale
-from planspace.figures.embedding import principal
-from planspace.figures.learning_curves import MAX_BANDS, STYLES, Curve
-from planspace.figures.style import COLOURS
+from planspace.figures.learning_curves import MAX_BANDS, STYLES
+from planspace.figures.projection import principal_components
+from planspace.figures.style import COLOURMAP, COLOURS, time_left_scale
+from planspace.rl.learning_curve import Curve
 
 Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the share of seeds that reached more than each."""
@@ -192,7 +192,7 @@ def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
         (standard, embedding.encode(demos.states)),
         strict=True,
     ):
-        flat, _ = principal(points, 2)
+        flat, _ = principal_components(points, 2)
         for i in range(min(len(demos), MAX_PATHS)):
             a, b = demos.offsets[i], demos.offsets[i + 1]
             left = demos.times[b - 1] - demos.times[a:b]

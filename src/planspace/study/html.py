@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 import plotly.io
 import plotly.offline
 
-from planspace.figures.embedding import PLOTLY_CONFIG
+from planspace.figures.style import PLOTLY_CONFIG
 from planspace.storage.files import write_bytes
 
 TEMPLATES = Path(__file__).parent / "templates"

@@ -9,9 +9,11 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.figures.demos import plot_demos
-from planspace.figures.embedding import interactive_paths
-from planspace.figures.learning_curves import SMOOTHING, learning_curve, plot_curves
+from planspace.figures.interactive_paths import MAX_INTERACTIVE, interactive_paths
+from planspace.figures.learning_curves import plot_curves
+from planspace.figures.paths import embedded_paths
 from planspace.figures.style import save_figure
+from planspace.rl.learning_curve import SMOOTHING, learning_curve
 from planspace.storage.arrays import Arrays
 from planspace.storage.files import make_folder
 from planspace.study.figures import interactive_curves, plain_layout, plot_paths
@@ -52,7 +54,9 @@ def write_report(
         units=dict(zip(demos.info.names, demos.info.units, strict=True)),
         demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
         paths=embedded(
-            interactive_paths(embedding, demos, np.arange(len(demos))).update_layout(**plain_layout())
+            interactive_paths(
+                embedded_paths(embedding, demos, np.arange(len(demos)), MAX_INTERACTIVE)
+            ).update_layout(**plain_layout())
         ),
         curves=embedded(interactive_curves(curves)),
     )

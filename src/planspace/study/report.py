@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from planspace.embed.training_log import LogRow
 from planspace.errors import PlanspaceError
-from planspace.figures.learning_curves import MAX_BANDS, SMOOTHING, Curve, learning_curve, plot_curves
+from planspace.figures.learning_curves import MAX_BANDS, plot_curves
 from planspace.figures.style import save_figure
 from planspace.figures.training_curves import plot_training
+from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
 from planspace.storage.checks import CONFIG
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import read_json
@@ -148,7 +150,7 @@ def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
         if unit.num_seeds < 2 or "bound" not in found:
             continue
         columns = zip(found["log_steps"], found["path_error"], found["bound"], strict=True)
-        rows = [{"step": step, "path_error": error, "bound": bound} for step, error, bound in columns]
+        rows = [LogRow(step=step, path_error=error, bound=bound) for step, error, bound in columns]
         title, file = f"{name}, z of {unit.config.z_dim} numbers", f"training-{slug(name)}"
         save_figure(plot_training(rows, found["seed"] - unit.seed, title=title), figures, file)
         shown.append(

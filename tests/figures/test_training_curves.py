@@ -1,5 +1,4 @@
 import io
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +7,12 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
+from planspace.embed.training_log import LogRow, read_log
 from planspace.errors import PlanspaceError
-from planspace.figures.training_curves import plot_training, read_log, rolling
+from planspace.figures.training_curves import plot_training, rolling
 
 
-def log(num_rows: int = 40, num_seeds: int = 3) -> list[dict[str, Any]]:
+def log(num_rows: int = 40, num_seeds: int = 3) -> list[LogRow]:
     rng = np.random.default_rng(0)
     return [
         {
@@ -36,12 +36,12 @@ def test_rolling_by_hand() -> None:
     np.testing.assert_allclose(high[:, 0], [4.0, 4.0, 7.0, 7.0])
 
 
-def test_a_curve_a_seed_inside_its_band() -> None:
+def test_one_curve_per_seed_lies_within_its_band() -> None:
     rows = log()
     figure = plot_training(rows, 1, [7, 8, 9])
     figure.savefig(io.BytesIO(), format="png", dpi=30)
     for axes, name in zip(figure.axes, ("path_error", "bound"), strict=True):
-        assert [line.get_label() for line in axes.lines] == ["seed 7", "seed 8, kept", "seed 9"]
+        assert [line.get_label() for line in axes.lines] == ["seed 7", "seed 8, selected", "seed 9"]
         assert axes.get_xlabel() == "optimiser steps"
         for i, (line, band) in enumerate(zip(axes.lines, bands(axes), strict=True)):
             steps, mean = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
@@ -56,7 +56,7 @@ def test_a_curve_a_seed_inside_its_band() -> None:
     assert widths[1] > widths[0] == widths[2]
 
 
-def test_seeds_have_colours_of_their_own_and_are_counted_where_they_have_no_name() -> None:
+def test_seeds_have_distinct_colours_and_are_numbered_from_0_by_default() -> None:
     figure = plot_training(log(num_seeds=5))
     lines = figure.axes[0].lines
     assert len({matplotlib.colors.to_hex(line.get_color()) for line in lines}) == 5
@@ -66,50 +66,36 @@ def test_seeds_have_colours_of_their_own_and_are_counted_where_they_have_no_name
     assert [text.get_text() for text in legend.get_texts()] == [f"seed {i}" for i in range(5)]
 
 
-def test_long_logs_are_smoothed_over_more() -> None:
-    assert "rolling mean of 3 rows" in plot_training(log(12)).get_suptitle()
-    assert "rolling mean of 21 rows" in plot_training(log(400)).get_suptitle()
+def test_longer_logs_are_smoothed_over_more_rows() -> None:
+    assert "over 3 log rows" in plot_training(log(12)).get_suptitle()
+    assert "over 21 log rows" in plot_training(log(400)).get_suptitle()
 
 
-def test_a_wild_start_does_not_flatten_the_rest() -> None:
+def test_extreme_values_at_the_start_are_clipped() -> None:
     rows = log()
     calm = plot_training(rows).axes[1].get_ylim()
-    assert calm[0] < min(min(row["bound"]) for row in rows)  # nothing is cut
+    assert calm[0] < min(min(row["bound"]) for row in rows)  # nothing is clipped
     rows[0]["bound"] = [-1e6] * 3
     bottom, top = plot_training(rows).axes[1].get_ylim()
     assert -40 < bottom < min(min(row["bound"]) for row in rows[10:]) and 0 < top < 10
 
 
-def test_one_row_is_a_training_too() -> None:
+def test_draw_a_log_of_one_row() -> None:
     figure = plot_training(log(1), 0)
     figure.savefig(io.BytesIO(), format="svg")
     assert [np.size(line.get_xdata()) for line in figure.axes[0].lines] == [1, 1, 1]
-    assert {line.get_marker() for line in figure.axes[0].lines} == {"o"}  # a line alone would not be seen
+    assert {line.get_marker() for line in figure.axes[0].lines} == {
+        "o"
+    }  # a line through one point is invisible
 
 
 @pytest.mark.parametrize("rows", [[], [{"step": 1, "bound": [1.0]}]])
-def test_nothing_to_draw(rows: list[dict[str, Any]]) -> None:
+def test_a_log_without_a_path_error_is_an_error(rows: list[LogRow]) -> None:
     with pytest.raises(PlanspaceError, match="no row with 'path_error'"):
         plot_training(rows)
 
 
-def test_a_resumed_log_counts_the_later_row_and_passes_over_half_a_line(tmp_path: Path) -> None:
-    lines = [{"step": s, "bound": [b]} for s, b in ((500, 1.0), (1000, 2.0), (1500, 3.0), (1000, 4.0))]
-    text = "".join(json.dumps(line) + "\n" for line in lines)
-    (tmp_path / "log.jsonl").write_text(text + '{"step": 15')
-    expected = [(500, [1.0]), (1000, [4.0]), (1500, [3.0])]
-    assert [(row["step"], row["bound"]) for row in read_log(tmp_path)] == expected
-
-
-def test_a_damaged_log_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PlanspaceError, match=r"cannot read .*log\.jsonl"):
-        read_log(tmp_path)
-    (tmp_path / "log.jsonl").write_text('{"step": 1}\noops\n{"step": 2}\n')
-    with pytest.raises(PlanspaceError, match=r"log\.jsonl, line 2 is damaged"):
-        read_log(tmp_path)
-
-
-def test_the_log_of_a_training_is_drawn(embedding_folder: Path) -> None:
+def test_draw_the_log_of_a_training(embedding_folder: Path) -> None:
     rows = read_log(embedding_folder)
     assert [row["step"] for row in rows] == sorted({row["step"] for row in rows})
     assert len(plot_training(rows, 0, [0, 1]).axes[1].lines) == 2

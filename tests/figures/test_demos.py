@@ -16,7 +16,9 @@ def labels(names: tuple[str, ...]) -> list[tuple[str, str]]:
     states = np.random.default_rng(0).normal(size=(4, len(names)))
     figure = plot_demos(Demos.from_episodes(info, [recorded(states, np.zeros((3, 0)), np.arange(4.0), 0)]))
     figure.savefig(io.BytesIO(), format="png", dpi=20)
-    return [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes[:-1]]  # the last is the scale
+    return [
+        (axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes[:-1]
+    ]  # the last one is the colour scale
 
 
 @pytest.mark.parametrize(
@@ -24,7 +26,7 @@ def labels(names: tuple[str, ...]) -> list[tuple[str, str]]:
     [
         (("x", "xvel"), [("x", "xvel")]),
         (("a", "avel", "b"), [("a", "avel"), ("time [s]", "b")]),
-        (("xvel",), [("time [s]", "xvel")]),  # a velocity without its position
+        (("xvel",), [("time [s]", "xvel")]),  # a velocity without a position
         ((*BALL, "velx", "vely", "velz"), [("time [s]", n) for n in (*BALL, "velx", "vely", "velz")]),
         ((*SEVEN, *(f"{n}vel" for n in SEVEN)), [(n, f"{n}vel") for n in SEVEN]),
     ],
@@ -33,7 +35,7 @@ def test_positions_are_paired_with_their_velocities_by_name(names, expected) -> 
     assert labels(names) == expected
 
 
-def test_panels_stand_in_rows_of_four() -> None:
+def test_four_panels_per_row() -> None:
     info = StateInfo(SEVEN, ("rad",) * 7, (), 0)
     episode = recorded(np.zeros((3, 7)), np.zeros((2, 0)), np.arange(3.0), 0)
     figure = plot_demos(Demos.from_episodes(info, [episode]))
