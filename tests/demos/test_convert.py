@@ -403,7 +403,7 @@ def test_a_lack_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("planspace.demos.convert.check_episode", fail)
     (tmp_path / "a.csv").write_text(CSV)
-    with pytest.raises(PlanspaceError, match=r"there is not enough memory to read .*a\.csv"):
+    with pytest.raises(PlanspaceError, match=r"not enough memory to read .*a\.csv"):
         import_demos([str(tmp_path / "a.csv")], tmp_path / "out", None, ImportOptions())
     assert not (tmp_path / "out").exists()
 

@@ -121,7 +121,7 @@ def test_a_manifest_that_makes_no_sense_is_refused_before_anything_is_made_of_it
     manifest = read_sealed(tmp_path / "manifest.json")
     manifest["shards"][0] |= change
     write_sealed(tmp_path / "manifest.json", manifest)
-    with pytest.raises(PlanspaceError, match=r"manifest\.json was altered or damaged: it makes no sense"):
+    with pytest.raises(PlanspaceError, match=r"manifest\.json was altered or damaged: its .* is invalid"):
         describe(tmp_path)
 
 
@@ -166,5 +166,5 @@ def test_what_does_not_fit_in_memory_is_one_line(tmp_path: Path, monkeypatch: py
         raise MemoryError
 
     monkeypatch.setattr(np, "concatenate", fail)
-    with pytest.raises(PlanspaceError, match=f"there is not enough memory to read {tmp_path}"):
+    with pytest.raises(PlanspaceError, match=f"not enough memory to read {tmp_path}"):
         load_demos(tmp_path)

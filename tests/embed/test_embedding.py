@@ -114,8 +114,8 @@ def test_a_newer_schema_and_another_kind_are_refused(embedding: Embedding, tmp_p
     path = tmp_path / "e" / "embedding.json"
     text = read_sealed(path)
     for change, message in (
-        ({"schema": 99, "architecture": "of tomorrow"}, r"newer planspace \(schema 99, .*upgrade planspace"),
-        ({"kind": "demos"}, "describes no embedding"),
+        ({"schema": 99, "architecture": "of tomorrow"}, r"newer planspace \(schema 99; .*upgrade planspace"),
+        ({"kind": "demos"}, "is of kind 'demos', expected 'embedding'"),
         ({"architecture": "transformer"}, "names the architecture 'transformer'"),
     ):
         write_sealed(path, {**text, **change})

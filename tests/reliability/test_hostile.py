@@ -182,11 +182,11 @@ def set_infinite(arrays: dict[str, Any]) -> None:
 WEIGHTS: dict[str, tuple[Change, str]] = {
     "NaN": (set_nan, "encoder.0.weight holds a number that is not finite"),
     "infinite": (set_infinite, "decoder.0.bias holds a number that is not finite"),
-    "missing": (lambda a: a.pop("encoder.1.weight"), "makes no sense"),
+    "missing": (lambda a: a.pop("encoder.1.weight"), "is invalid"),
     "no networks": (lambda a: [a.pop(k) for k in list(a) if "coder" in k], "not whole"),
-    "too large a layer": (lambda a: a.update({"encoder.0.weight": np.ones((900, 7))}), "makes no sense"),
+    "too large a layer": (lambda a: a.update({"encoder.0.weight": np.ones((900, 7))}), "is invalid"),
     "no deviation": (lambda a: a.update(deviation=0 * a["deviation"]), "not whole"),
-    "texts for numbers": (lambda a: a.update(mean=a["mean"].astype(bool)), "makes no sense|not whole"),
+    "texts for numbers": (lambda a: a.update(mean=a["mean"].astype(bool)), "is invalid|not whole"),
     "too large to compute with": (lambda a: a["encoder.0.weight"].fill(1e38), "what is not finite"),
     "too large to decode with": (lambda a: a["decoder.0.weight"].fill(1e38), "what is not finite"),
 }
@@ -206,12 +206,12 @@ def test_weights_that_do_not_compute(trick: str, embedding: Embedding, tmp_path:
 DESCRIPTIONS: dict[str, tuple[Change, str]] = {
     "code for an architecture": (lambda t: t.update(architecture="os:system"), "names the architecture"),
     "a newer schema": (lambda t: t.update(schema=10**6), "written by a newer planspace"),
-    "no schema": (lambda t: t.pop("schema"), "names no schema"),
-    "another kind": (lambda t: t.update(kind="demos"), "describes no embedding"),
-    "an unknown form": (lambda t: t["inputs"].update(form="pickle"), "makes no sense"),
-    "numbers for names": (lambda t: t["inputs"].update(names=[1, 2, 3, 4]), "makes no sense"),
+    "no schema": (lambda t: t.pop("schema"), "has no schema number"),
+    "another kind": (lambda t: t.update(kind="demos"), "is of kind 'demos'"),
+    "an unknown form": (lambda t: t["inputs"].update(form="pickle"), "is invalid"),
+    "numbers for names": (lambda t: t["inputs"].update(names=[1, 2, 3, 4]), "is invalid"),
     "an angle that is no column": (lambda t: t["inputs"].update(circular_columns=[-9]), "no column"),
-    "no inputs": (lambda t: t.pop("inputs"), "makes no sense"),
+    "no inputs": (lambda t: t.pop("inputs"), "is invalid"),
     "another size": (lambda t: t.update(z_dim=10**9), "other sizes than it says"),
     "another seed": (lambda t: t["about"].update(seed=99), "seed is none of those"),
 }
@@ -234,27 +234,36 @@ POLICIES: dict[str, tuple[Change, str]] = {
     "another task's environment": (lambda t: t.update(env_id="planspace/Arm-v0"), FOREIGN),
     "Gymnasium's own environment": (lambda t: t.update(task="CartPole-v1", env_id="CartPole-v1"), FOREIGN),
     "no environment at all": (lambda t: t.update(task=None, env_id=None), FOREIGN),
-    "a list for an environment": (lambda t: t.update(env_id=["planspace/CartPole-v0"]), "makes no sense"),
-    "no environment": (lambda t: t.pop("env_id"), "makes no sense .*env_id"),
-    "no task": (lambda t: t.pop("task"), "makes no sense .*task"),
-    "an unknown form": (lambda t: t.update(obs="pickle"), "makes no sense .*obs is 'pickle'"),
-    "no form": (lambda t: t.pop("obs"), "makes no sense .*obs is None"),
-    "an unknown reward": (lambda t: t.update(reward="os:system"), "makes no sense .*reward is 'os:system'"),
-    "z from nowhere": (lambda t: t.update(z="augment"), "makes no sense .*an embedding for each seed"),
-    "z to nobody": (lambda t: t.update(z_to=[1] * 9999), r"makes no sense .*z_to is \[1, 1, .*\.\.\.\]"),
-    "an embedding elsewhere": (lambda t: t.update(embeddings=["../../secret/embedding"]), "makes no sense"),
-    "enormous observations": (lambda t: t.update(num_obs=10**12), "makes no sense"),
-    "columns that are not there": (lambda t: t.update(columns=[5, 9]), "makes no sense"),
-    "no seeds": (lambda t: t.update(seeds=[], returns=[]), "makes no sense"),
-    "a text for a seed": (lambda t: t.update(seeds=["\x1b[2J"]), "makes no sense .*no whole numbers"),
-    "texts for returns": (lambda t: t.update(returns=["x"]), "makes no sense"),
-    "actions without end": (lambda t: t.update(action_low=[-1e308]), "makes no sense .*limit of its actions"),
-    "actions that are none": (lambda t: t.update(action_high=["pickle"]), "makes no sense"),
-    "no actions to choose from": (lambda t: t.update(action_low=[1.0]), "makes no sense .*no range"),
+    "a list for an environment": (lambda t: t.update(env_id=["planspace/CartPole-v0"]), "is invalid"),
+    "no environment": (lambda t: t.pop("env_id"), "is invalid .*env_id"),
+    "no task": (lambda t: t.pop("task"), "is invalid .*task"),
+    "an unknown form": (lambda t: t.update(obs="pickle"), "is invalid .*obs is 'pickle'"),
+    "no form": (lambda t: t.pop("obs"), "is invalid .*obs is None"),
+    "an unknown reward": (
+        lambda t: t.update(reward="os:system"),
+        "is invalid .*reward is 'os:system'",
+    ),
+    "z from nowhere": (lambda t: t.update(z="augment"), "is invalid .*an embedding for each seed"),
+    "z to nobody": (lambda t: t.update(z_to=[1] * 9999), r"is invalid .*z_to is \[1, 1, .*\.\.\.\]"),
+    "an embedding elsewhere": (
+        lambda t: t.update(embeddings=["../../secret/embedding"]),
+        "is invalid",
+    ),
+    "enormous observations": (lambda t: t.update(num_obs=10**12), "is invalid"),
+    "columns that are not there": (lambda t: t.update(columns=[5, 9]), "is invalid"),
+    "no seeds": (lambda t: t.update(seeds=[], returns=[]), "is invalid"),
+    "a text for a seed": (lambda t: t.update(seeds=["\x1b[2J"]), "is invalid .*no whole numbers"),
+    "texts for returns": (lambda t: t.update(returns=["x"]), "is invalid"),
+    "actions without end": (
+        lambda t: t.update(action_low=[-1e308]),
+        "is invalid .*limit of its actions",
+    ),
+    "actions that are none": (lambda t: t.update(action_high=["pickle"]), "is invalid"),
+    "no actions to choose from": (lambda t: t.update(action_low=[1.0]), "is invalid .*no range"),
 }
 POLICY_WEIGHTS: dict[str, tuple[Change, str]] = {
     "too large": (lambda a: a["1.weight"].fill(3e38), "an action of seed 0 is not finite"),
-    "no deviation": (lambda a: a["log_std"].fill(1e4), "makes no sense .*no deviation"),
+    "no deviation": (lambda a: a["log_std"].fill(1e4), "is invalid .*no deviation"),
     "less than no variance": (lambda a: a.update(statistics(-1.0)), "an action of seed 0 is not finite"),
 }
 
@@ -349,7 +358,7 @@ def dataset(demos: Demos, tmp_path: Path) -> Path:
 @pytest.mark.parametrize("trick", MANIFESTS)
 def test_manifests_that_lie(trick: str, dataset: Path, tmp_path: Path) -> None:
     reseal(dataset / "manifest.json", MANIFESTS[trick])
-    assert_refused(dataset, lambda: load_demos(dataset), "makes no sense")
+    assert_refused(dataset, lambda: load_demos(dataset), "is invalid")
 
 
 SHARDS: dict[str, Change] = {
@@ -367,7 +376,7 @@ def test_shards_that_lie(trick: str, dataset: Path, tmp_path: Path) -> None:
     SHARDS[trick](arrays)
     write_arrays(file, arrays)
     reseal(dataset / "manifest.json", lambda text: first_shard(text).update(sha256=file_hash(file)))
-    assert_refused(dataset, lambda: load_demos(dataset), r"shard-00000.safetensors .*makes no sense")
+    assert_refused(dataset, lambda: load_demos(dataset), r"shard-00000.safetensors .*is invalid")
 
 
 @pytest.mark.parametrize(
@@ -506,7 +515,7 @@ MODELS = {
     "hardly a step": ('<option timestep="1e-300"/>', "a time step is at least 1e-06 s"),
     "stl of 10^9 faces": ('<asset><mesh file="faces.stl"/></asset>', "its header asks for"),
     "msh of 10^9 points": ('<asset><mesh file="points.msh"/></asset>', "its header asks for"),
-    "a mesh that is a pipe": ('<asset><mesh file="pipe.stl"/></asset>', "no plain file"),
+    "a mesh that is a pipe": ('<asset><mesh file="pipe.stl"/></asset>', "not a regular file"),
     "files of many pixels": (
         f'<asset>{2 * """<texture type="2d" file="wide.png"/>"""}</asset>',
         "pictures of 72000000 pixels",
@@ -627,7 +636,7 @@ YAML = {
     "code": ("model: !!python/object/apply:os.system ['touch sprung']\n", "not valid YAML"),
     "a tag": ("model: !!python/name:os.system\n", "not valid YAML"),
     "aliases of aliases": (ALIASES, "unknown key"),
-    "aliases in a value": ("joints: &a [*a]\n", "not valid YAML|missing|makes no sense|joints"),
+    "aliases in a value": ("joints: &a [*a]\n", "not valid YAML|missing|is invalid|joints"),
     "deep": ("a: " + "[" * 100_000, "not valid YAML"),
     "large": ("# " + "x" * (1 << 20), "at most"),
     "more keys than a second reads": ("".join(f"k{i}: 1\n" for i in range(20_000)), "at most"),

@@ -384,7 +384,7 @@ def repairing(name: str, changes: st.SearchStrategy[Change]) -> Callable[[Path],
 
 
 def read_unit(units: Path) -> dict[str, Any]:
-    return read_description(units / UNIT.name, kind="policies of a study", schema=1, name="unit")
+    return read_description(units / UNIT.name, kind="policies of a study", schema=1)
 
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such files")
@@ -534,7 +534,7 @@ def test_what_never_ends_is_refused(what: str, loader: Loader) -> None:
             os.mkfifo(loader.file)
         else:
             loader.file.symlink_to("/dev/zero")
-        with soon(), pytest.raises(PlanspaceError, match="no plain file|is a link"):
+        with soon(), pytest.raises(PlanspaceError, match="not a regular file|is a link"):
             loader.read()
 
 
@@ -558,7 +558,7 @@ def test_what_never_ends_is_set_aside_by_repair(name: str, tmp_path: Path) -> No
     os.mkfifo(file)
     with soon():
         (line,) = repair(tmp_path)
-        assert f"cannot read {file}: it is no plain file" in line and repair(tmp_path) == []
+        assert f"cannot read {file}: it is not a regular file" in line and repair(tmp_path) == []
     assert (file.parent / f"damaged-1-{file.name}").is_fifo()
 
 

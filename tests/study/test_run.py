@@ -160,7 +160,7 @@ def test_a_killed_worker_is_named_so_when_it_is_given_up(tmp_path: Path) -> None
 def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
     from planspace.storage.runs import lock_folder
 
-    with lock_folder(copied), pytest.raises(PlanspaceError, match="another command is at work in"):
+    with lock_folder(copied), pytest.raises(PlanspaceError, match="another command is running in"):
         run_study(TINY, copied)
     left_behind = copied / "units" / ".writing-x.json-123"
     left_behind.touch()

@@ -70,13 +70,13 @@ class Embed:
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
         from planspace.embed.training import use_device
-        from planspace.storage.compiled import keep_compiled
+        from planspace.storage.compiled import use_compilation_cache
 
         if min(self.z_dim, self.seeds) < 1 or self.seed < 0:
             raise UsageError("--z-dim and --seeds must be at least 1, --seed at least 0.")
         if self.device:
             use_device(self.device)
-        keep_compiled()
+        use_compilation_cache()
         config = PRESETS[self.preset].changed(
             z_dim=self.z_dim,
             columns=self.columns,

@@ -25,10 +25,10 @@ class Run:
 
     def __call__(self) -> None:
         """Runs it and prints the closing table."""
-        from planspace.storage.compiled import keep_compiled
+        from planspace.storage.compiled import use_compilation_cache
         from planspace.study.quickstart import closing_table, run
 
-        keep_compiled()
+        use_compilation_cache()
         out = self.out or Path("runs") / f"{self.task}-{self.budget}"
         summary = run(self.task, self.budget, out, self.seed)
         print(closing_table(summary))

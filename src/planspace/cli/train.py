@@ -75,7 +75,7 @@ class Train:
         from planspace.rl.history import frozen_seeds
         from planspace.rl.learning_curve import learning_curve
         from planspace.rl.train import num_episodes, train
-        from planspace.storage.compiled import keep_compiled
+        from planspace.storage.compiled import use_compilation_cache
         from planspace.tasks.task import TASKS, find_task
 
         if not self.task:
@@ -95,7 +95,7 @@ class Train:
         if rounded != self.steps:
             print(f"--steps {self.steps} rounded to {rounded}, whole iterations", file=sys.stderr)
         embeddings = [load_embedding(folder) for folder in self.embedding]
-        keep_compiled()
+        use_compilation_cache()
         history = train(config, self.out, embeddings, self.track)
         for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
             last = returns[-1]

@@ -23,7 +23,7 @@ from planspace.storage.arrays import read_array, read_arrays, write_arrays
 from planspace.storage.checks import check_file, damage_error, explain_memory_error, reject_malformed
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import read_description, write_sealed
-from planspace.storage.runs import list_differences
+from planspace.storage.settings import list_differences
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -249,7 +249,7 @@ def _described(path: Path) -> tuple[dict[str, Any], StateInfo]:
     file = path / MANIFEST
     if not file.exists():
         raise PlanspaceError(f"{path} is not a demo dataset: it has no {MANIFEST}.")
-    manifest = read_description(file, kind="demos", schema=SCHEMA, name="demo dataset")
+    manifest = read_description(file, kind="demos", schema=SCHEMA)
     with reject_malformed(file):
         known: dict[str, Any] = {f.name: manifest["info"][f.name] for f in fields(StateInfo)}
         known = {key: tuple(value) if isinstance(value, list) else value for key, value in known.items()}

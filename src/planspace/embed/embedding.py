@@ -359,7 +359,7 @@ def load_embedding(path: str | Path) -> Embedding:
         if path.name == DESCRIPTION and path.exists():
             raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
-    text = read_description(path / DESCRIPTION, kind="embedding", schema=SCHEMA, name="embedding")
+    text = read_description(path / DESCRIPTION, kind="embedding", schema=SCHEMA)
     with reject_malformed(path / DESCRIPTION):
         embedding = _assembled(path, text)
         _try_out(embedding, text["z_dim"])

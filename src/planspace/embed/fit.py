@@ -7,11 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
-import mujoco
 import numpy as np
 
-import planspace
 from planspace.demos.dataset import Demos
 from planspace.embed.card import model_card
 from planspace.embed.config import FitConfig
@@ -41,6 +38,7 @@ from planspace.embed.support import Support
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError
 from planspace.storage.files import write_bytes
+from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import open_run
 from planspace.storage.tracking import Tracker, open_tracker
@@ -112,11 +110,7 @@ def fit(
         "split": {name: part.tolist() for name, part in split.items()},
         **_measurements(embeddings[chosen], used, split),
         "metrics_of_seeds": {str(s): asdict(g) for s, g in zip(seeds, validation, strict=True)},
-        "versions": {
-            "planspace": planspace.__version__,
-            "mujoco": mujoco.__version__,
-            "jax": jax.__version__,
-        },
+        "versions": Provenance.current("mujoco", "jax").plain(),
     }
     embedding = replace(embeddings[chosen], support=support, about=about)
     write_bytes(out / CARD, model_card(embedding).encode())

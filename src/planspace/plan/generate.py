@@ -10,10 +10,8 @@ from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
-import planspace
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.folder import DemoFolder
 from planspace.errors import PartialResult, UsageError
@@ -23,6 +21,7 @@ from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.progress import progress
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import read_bytes
+from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.tasks.problem import Problem
 from planspace.workers import count_cores, end_with_parent, worker_environment
@@ -75,7 +74,7 @@ def generate(
             "seed": seed,
             "planner": config.planner,
             "config": asdict(config),
-            "versions": {"planspace": planspace.__version__, "mujoco": mujoco.__version__},
+            "versions": Provenance.current("mujoco").plain(),
         },
     )
     remaining = range(folder.next_index, num)

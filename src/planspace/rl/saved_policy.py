@@ -113,7 +113,7 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
         raise PlanspaceError(
             f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
         )
-    about = read_description(run / DESCRIPTION, kind="policies", schema=SCHEMA, name="policies")
+    about = read_description(run / DESCRIPTION, kind="policies", schema=SCHEMA)
     with reject_malformed(run / DESCRIPTION):
         return _assembled(run, about, seed)
 

@@ -7,13 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.random as jr
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
-import planspace
 from planspace.embed.embedding import DESCRIPTION, Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
@@ -38,6 +35,7 @@ from planspace.rl.saved_policy import EMBEDDING, save_policies
 from planspace.rl.shaping import Shaping
 from planspace.storage.arrays import Arrays, write_arrays
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
+from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import open_run
 from planspace.storage.tracking import TrackerName, open_trackers
@@ -155,12 +153,11 @@ def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embe
 
 
 def _settings(config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
-    versions = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}
     return {
         **asdict(config),
         "learner": asdict(config.learns),
         "embeddings": [embedding.hash for embedding in embeddings],
-        "versions": versions,
+        "versions": Provenance.current("mujoco", "jax").plain(),
     }
 
 
@@ -307,6 +304,6 @@ def _save_policies(arm: _Arm, embeddings: tuple[Embedding, ...], state: _State, 
                 "returns": state.history[EVALUATION][-1].tolist(),
             }
         ),
-        "versions": {"planspace": planspace.__version__},
+        "versions": Provenance.current().plain(),
     }
     save_policies(out, arrays, about)

@@ -11,17 +11,24 @@ import safetensors
 import safetensors.numpy
 
 from planspace.errors import PlanspaceError
-from planspace.storage.checks import MAX_BYTES, check_file, damage_error, explain_memory_error, explain_read
+from planspace.storage.checks import (
+    MAX_BYTES,
+    check_file,
+    damage_error,
+    explain_memory_error,
+    explain_read,
+)
 from planspace.storage.files import read_bytes, write_bytes
 from planspace.storage.json_files import CHECKSUM_KEY
 
 Arrays = dict[str, np.ndarray]
+
 INNER = "planspace"
-"""Where a safetensors file keeps what is said about its arrays."""
+"""Key of a safetensors file's header that holds our metadata and checksum."""
 
 
 def write_arrays(path: Path, arrays: Arrays, *, metadata: Mapping[str, Any] | None = None) -> str:
-    """Writes named arrays as one safetensors file, which holds a checksum of its own content.
+    """Write named arrays as one safetensors file that holds a checksum of its own content.
 
     Args:
         path: the file.
@@ -29,7 +36,7 @@ def write_arrays(path: Path, arrays: Arrays, *, metadata: Mapping[str, Any] | No
         metadata: plain data to keep in the same file, so that both change in one step.
 
     Returns:
-        The SHA-256 of the file.
+        SHA-256 of the file.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     inner = _inner_text(contiguous, json.loads(json.dumps(metadata)))
@@ -39,21 +46,22 @@ def write_arrays(path: Path, arrays: Arrays, *, metadata: Mapping[str, Any] | No
 
 
 def read_arrays(path: Path, *, sha256: str | None = None) -> Arrays:
-    """Reads the arrays of a safetensors file.
+    """Read the arrays of a safetensors file.
 
     Args:
         path: the file.
-        sha256: what its hash must be; None trusts the checksum in the file, which finds damage alone.
+        sha256: expected hash of the file. None relies on the checksum in the file, which detects damage but
+            not deliberate changes.
 
     Raises:
-        PlanspaceError: missing, damaged, its hash is another, or one that `check_file` refuses.
+        PlanspaceError: the file is missing or damaged, has another hash, or `check_file` rejects it.
     """
     with explain_memory_error(path):
         return _read_arrays(path, sha256)[0]
 
 
 def read_array(path: Path, name: str) -> np.ndarray:
-    """Reads one array of a safetensors file that has been verified before, and no more of it.
+    """Read one array of a safetensors file without verifying the file again.
 
     Raises:
         PlanspaceError: the file is missing or unreadable, or has no such array.
@@ -63,20 +71,20 @@ def read_array(path: Path, name: str) -> np.ndarray:
         with explain_read(path), safetensors.safe_open(path, framework="numpy") as file:
             return file.get_tensor(name)
     except safetensors.SafetensorError as error:
-        raise damage_error(path, f"no readable safetensors file ({error})") from error
+        raise damage_error(path, f"it is not a readable safetensors file ({error})") from error
 
 
 def read_arrays_and_metadata(path: Path) -> tuple[Arrays, dict[str, Any]]:
-    """Reads the arrays of a safetensors file, and the plain data that `write_arrays` kept with them.
+    """Read the arrays of a safetensors file and the metadata that `write_arrays` kept with them.
 
     Raises:
-        PlanspaceError: missing, damaged, or written without it.
+        PlanspaceError: the file is missing or damaged, or holds no metadata.
     """
     with explain_memory_error(path):
-        arrays, about = _read_arrays(path, None)
-    if not isinstance(about, dict):
-        raise PlanspaceError(f"{path} does not hold the description expected in it.")
-    return arrays, about
+        arrays, metadata = _read_arrays(path, None)
+    if not isinstance(metadata, dict):
+        raise PlanspaceError(f"{path} holds arrays but not the expected metadata.")
+    return arrays, metadata
 
 
 def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
@@ -86,24 +94,24 @@ def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
     try:
         arrays = safetensors.numpy.load(data)
         size = int.from_bytes(data[:8], "little")
-        metadata = json.loads(data[8 : 8 + size]).get("__metadata__", {})
-        if not metadata and sha256 is not None:  # of somebody else, who vouches for it
+        header = json.loads(data[8 : 8 + size]).get("__metadata__", {})
+        if not header and sha256 is not None:  # written by another program; the caller knows its hash
             return arrays, None
-        about = json.loads(metadata[INNER])["about"]
-        is_whole = metadata[INNER] == _inner_text(arrays, about)
+        metadata = json.loads(header[INNER])["about"]
+        is_whole = header[INNER] == _inner_text(arrays, metadata)
     except (safetensors.SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise damage_error(path, f"no readable safetensors file ({error})") from error
+        raise damage_error(path, f"it is not a readable safetensors file ({error})") from error
     if not is_whole:
         raise damage_error(path, "it does not match its own checksum")
-    return arrays, about
+    return arrays, metadata
 
 
-def _inner_text(arrays: Arrays, about: Any) -> str:
-    return json.dumps({"about": about, CHECKSUM_KEY: _arrays_hash(arrays, about)}, sort_keys=True)
+def _inner_text(arrays: Arrays, metadata: Any) -> str:
+    return json.dumps({"about": metadata, CHECKSUM_KEY: _arrays_hash(arrays, metadata)}, sort_keys=True)
 
 
-def _arrays_hash(arrays: Arrays, about: Any) -> str:
-    digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+def _arrays_hash(arrays: Arrays, metadata: Any) -> str:
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     for name, array in sorted(arrays.items()):
         digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -1,6 +1,7 @@
-"""Checks of files before they are read, and the errors for files that cannot be read or written.
+"""Checks of files before they are read, and errors for files that cannot be read or written.
 
-A file that is read must be a regular file of a bounded size, inside its own folder; see `check_file`.
+A file is read only if it is a regular file of a bounded size that lies inside its own folder; see
+`check_file`.
 """
 
 import contextlib
@@ -14,41 +15,41 @@ from pathlib import Path
 from planspace.errors import PlanspaceError
 
 CONFIG = "config.json"
-"""The settings a run was started with; see `open_run`."""
+"""The settings of a run; see `planspace.storage.runs.open_run`."""
 RUN_FILES = (CONFIG, "policies.json")
-"""One of these lies in every run's folder."""
+"""Every run folder holds at least one of these."""
 PART_OF_RUN = re.compile(r"checkpoint|embedding(-\d+)?")
-"""Folders in a run's that are part of it."""
+"""Names of the folders inside a run folder that belong to the run."""
 MAX_JSON_BYTES = 1 << 28
-"""No description is larger: neither a manifest of a million shards nor a model with all its meshes."""
+"""Upper bound for a JSON file: neither the manifest of a million shards nor a large model is larger."""
 
 
 def _memory_bytes() -> int:
-    """What this process may use: all of the machine's memory, or what its container is given."""
+    """Memory that this process may use: the machine's, or the limit of its container if that is lower."""
     try:
-        most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # Windows
         return sys.maxsize
     with contextlib.suppress(OSError, ValueError):  # no container, or one without a limit
-        most = min(most, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return most
+        available = min(available, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return available
 
 
 MAX_BYTES = _memory_bytes() // 4
-"""What is read in one piece is no larger: its parts are copied while they are checked and laid end to end."""
+"""Upper bound for a file that is read at once: checking and concatenating its arrays takes copies."""
 
 
 def check_file(path: Path, *, most: int = sys.maxsize, may_be_link: bool = False) -> None:
-    """Refuses what is not to be opened: a pipe or a device would never end, a link may lead anywhere.
+    """Check that a file may be opened. Reading a pipe or device may never end; a link may point anywhere.
 
     Args:
         path: the file.
-        most: how many bytes it may have; any number where it is read piece by piece.
-        may_be_link: whether it may be a link to a file elsewhere, as what the user names himself may be. What
-            belongs to a folder of ours must lie in it; the folder itself may be a link.
+        most: largest allowed size in bytes; by default any, for files that are read piece by piece.
+        may_be_link: whether the file may be a link out of its folder. Set it for a path that the user gave.
+            Files that belong to one of our folders must lie in that folder; the folder may be a link.
 
     Raises:
-        PlanspaceError: it is missing, no plain file, too large, or a link out of its folder.
+        PlanspaceError: the file is missing, not a regular file, too large, or a link out of its folder.
     """
     if not may_be_link:
         _refuse_link_out(path)
@@ -58,7 +59,7 @@ def check_file(path: Path, *, most: int = sys.maxsize, may_be_link: bool = False
     with explain_read(path):
         status = path.stat()
     if not stat.S_ISREG(status.st_mode):
-        raise PlanspaceError(f"cannot read {path}: it is no plain file.")
+        raise PlanspaceError(f"cannot read {path}: it is not a regular file.")
     if status.st_size > most:
         raise PlanspaceError(f"{path} has {status.st_size} bytes; at most {most} can be read here.")
 
@@ -66,39 +67,44 @@ def check_file(path: Path, *, most: int = sys.maxsize, may_be_link: bool = False
 def _refuse_link_out(path: Path) -> None:
     target, folder = os.path.realpath(path), path.parent
     if not Path(target).is_relative_to(os.path.realpath(folder)):
-        raise PlanspaceError(f"{path} is a link out of its folder, to {target}; put a copy in its place.")
+        raise PlanspaceError(f"{path} is a link out of its folder, to {target}; replace it with a copy.")
 
 
 def damage_error(path: Path, what: str) -> PlanspaceError:
-    """Builds the error for a file that is not what was written."""
+    """Build the error for a file whose content is not what planspace wrote.
+
+    Args:
+        path: the file.
+        what: what is wrong with it.
+    """
     return PlanspaceError(
-        f"{path} was altered or damaged: {what}. Restore it from a copy; or `planspace repair "
-        f"{path.parent}` sets it aside, and the command that made it makes it again."
+        f"{path} was altered or damaged: {what}. Restore it from a copy; or run `planspace repair "
+        f"{path.parent}`, which sets it aside, and then the command that made it."
     )
 
 
 @contextlib.contextmanager
 def reject_malformed(path: Path) -> Iterator[None]:
-    """Turns what a file that makes no sense leads to into an error that names the file.
+    """Turn the exceptions that malformed content causes into an error that names the file.
 
     Raises:
-        PlanspaceError: something in it is missing, or of another kind, size or range than it should be; or
-            there is no memory for it.
+        PlanspaceError: a value in the file is missing or has the wrong type, size or range, or the file does
+            not fit into memory.
     """
     try:
         with explain_memory_error(path):
             yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         text = " ".join(str(error).split())[:200]
-        raise damage_error(path, f"it makes no sense ({type(error).__name__}: {text})") from error
+        raise damage_error(path, f"its content is invalid ({type(error).__name__}: {text})") from error
 
 
 @contextlib.contextmanager
 def explain_read(path: Path) -> Iterator[None]:
-    """Turns what the operating system says of a file that cannot be read into our error.
+    """Turn an OSError while reading into an error that names the file.
 
     Raises:
-        PlanspaceError: it cannot be read.
+        PlanspaceError: the file cannot be read.
     """
     try:
         with explain_memory_error(path):
@@ -119,18 +125,18 @@ def explain_write(path: Path) -> Iterator[None]:
     except OSError as error:
         raise PlanspaceError(
             f"cannot write {path}: {error.strerror}. What was saved before is intact; "
-            "make room or choose another --out, and run the same command again."
+            "free some space or choose another --out, and run the same command again."
         ) from error
 
 
 @contextlib.contextmanager
 def explain_memory_error(path: Path | str) -> Iterator[None]:
-    """Turns a lack of memory into an error that names the file it was wanted for.
+    """Turn a MemoryError into an error that names the file.
 
     Raises:
-        PlanspaceError: there is not enough.
+        PlanspaceError: the file does not fit into memory.
     """
     try:
         yield
     except MemoryError as error:
-        raise PlanspaceError(f"there is not enough memory to read {path}.") from error
+        raise PlanspaceError(f"not enough memory to read {path}.") from error

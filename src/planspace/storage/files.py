@@ -14,10 +14,10 @@ TEMPORARY_PREFIX = ".writing-"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Writes a file so that a crash leaves the old content or the new, never a part.
+    """Write a file atomically: a crash leaves the old content or the new, never a part.
 
     Raises:
-        PlanspaceError: the file cannot be written; what stood there before still stands.
+        PlanspaceError: the file cannot be written; its old content is intact.
     """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{path.name}-{os.getpid()}"
     with explain_write(path):
@@ -34,10 +34,15 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def read_bytes(path: Path, *, most: int = MAX_BYTES, may_be_link: bool = False) -> bytes:
-    """Reads a whole file.
+    """Read a whole file.
+
+    Args:
+        path: the file.
+        most: largest allowed size in bytes.
+        may_be_link: whether the file may be a link out of its folder; see `check_file`.
 
     Raises:
-        PlanspaceError: it is missing or unreadable, or `check_file`, of the same arguments, refuses it.
+        PlanspaceError: the file is missing or unreadable, or `check_file` rejects it.
     """
     check_file(path, most=most, may_be_link=may_be_link)
     with explain_read(path):
@@ -45,10 +50,10 @@ def read_bytes(path: Path, *, most: int = MAX_BYTES, may_be_link: bool = False) 
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's bytes.
+    """Compute the SHA-256 of a file's bytes.
 
     Raises:
-        PlanspaceError: it is missing or unreadable.
+        PlanspaceError: the file is missing or unreadable.
     """
     check_file(path, may_be_link=True)
     with explain_read(path), open(path, "rb") as file:
@@ -56,20 +61,20 @@ def file_hash(path: Path) -> str:
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file, if it is there.
+    """Remove a file if it exists.
 
     Raises:
-        PlanspaceError: it cannot be removed.
+        PlanspaceError: the file cannot be removed.
     """
     with explain_write(path):
         path.unlink(missing_ok=True)
 
 
 def rename_file(file: Path, to: Path) -> None:
-    """Renames a file within its folder.
+    """Rename a file within its folder.
 
     Raises:
-        PlanspaceError: it cannot be renamed.
+        PlanspaceError: the file cannot be renamed.
     """
     with explain_write(to):
         os.replace(file, to)
@@ -77,10 +82,10 @@ def rename_file(file: Path, to: Path) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Makes a folder and those above it, and checks that it can be written.
+    """Make a folder and its parents, and check that files can be written in it.
 
     Raises:
-        PlanspaceError: it cannot be made or written.
+        PlanspaceError: the folder cannot be made or written.
     """
     with explain_write(path):
         missing = [folder for folder in (path, *path.parents) if not folder.exists()]

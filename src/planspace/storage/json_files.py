@@ -1,4 +1,4 @@
-"""JSON files, with or without a checksum of their own content."""
+"""JSON files, plain or sealed with a checksum of their own content."""
 
 import hashlib
 import json
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, quoted
 from planspace.storage.checks import MAX_JSON_BYTES, damage_error, explain_memory_error
 from planspace.storage.files import read_bytes, write_bytes
 
@@ -14,15 +14,15 @@ CHECKSUM_KEY = "checksum"
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Writes a mapping as JSON, atomically."""
+    """Write a mapping as JSON, atomically."""
     write_bytes(path, _json_text(value))
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Reads a JSON object.
+    """Read a JSON object.
 
     Raises:
-        PlanspaceError: the file is missing, unreadable or no JSON object.
+        PlanspaceError: the file is missing, unreadable or not a JSON object.
     """
     data = read_bytes(path, most=MAX_JSON_BYTES)
     try:
@@ -33,15 +33,21 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_sealed(path: Path, value: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Writes a JSON object with a checksum of its own content; without an indent on one line."""
+    """Write a JSON object together with a checksum of its own content.
+
+    Args:
+        path: the file.
+        value: plain data.
+        indent: spaces per level; None writes a single line.
+    """
     write_bytes(path, _sealed_text(json.loads(json.dumps(value)), indent))
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """Reads a JSON object written by `write_sealed` and verifies that no byte of it is another.
+    """Read a JSON object written by `write_sealed` and verify every byte of it.
 
     Raises:
-        PlanspaceError: missing, not JSON, or altered since it was written.
+        PlanspaceError: the file is missing, not JSON, or was altered since it was written.
     """
     data = read_bytes(path, most=MAX_JSON_BYTES)
     try:
@@ -49,40 +55,39 @@ def read_sealed(path: Path) -> dict[str, Any]:
             value = _json_object(data)
             value.pop(CHECKSUM_KEY, None)
             is_whole = data == _sealed_text(value, 2 if data.startswith(b"{\n") else None)
-    except (ValueError, RecursionError) as error:  # numbers of too many digits, too
+    except (ValueError, RecursionError) as error:  # also numbers of too many digits
         raise damage_error(path, f"it is not valid JSON: {error}") from error
     if not is_whole:
         raise damage_error(path, "it does not match its own checksum")
     return value
 
 
-def read_description(path: Path, *, kind: str, schema: int, name: str) -> dict[str, Any]:
-    """Reads the sealed description of a folder of ours.
+def read_description(path: Path, *, kind: str, schema: int) -> dict[str, Any]:
+    """Read the sealed JSON file that describes a folder of a certain kind.
 
     Args:
         path: the file.
-        kind: what the file must say that it describes.
-        schema: the newest schema that is known.
-        name: what it describes, for messages.
+        kind: value that its key `kind` must have, for example `"embedding"`.
+        schema: newest schema that this version can read.
 
     Raises:
-        PlanspaceError: altered, of another kind, or written by a newer planspace.
+        PlanspaceError: the file was altered, is of another kind, or was written by a newer planspace.
     """
-    text = read_sealed(path)
-    if text.get("kind") != kind:
-        raise PlanspaceError(f"{path} describes no {name}.")
-    if not isinstance(text.get("schema"), int):
-        raise damage_error(path, "it names no schema")
-    if text["schema"] > schema:
+    content = read_sealed(path)
+    if content.get("kind") != kind:
+        raise PlanspaceError(f"{path} is of kind {quoted(content.get('kind'))}, expected {kind!r}.")
+    if not isinstance(content.get("schema"), int):
+        raise damage_error(path, "it has no schema number")
+    if content["schema"] > schema:
         raise PlanspaceError(
-            f"{path.parent} was written by a newer planspace (schema {text['schema']}, this one reads up to "
-            f"{schema}); upgrade planspace."
+            f"{path.parent} was written by a newer planspace (schema {content['schema']}; this one reads up "
+            f"to {schema}); upgrade planspace."
         )
-    return text
+    return content
 
 
 def json_hash(value: Mapping[str, Any]) -> str:
-    """SHA-256 of plain data, whatever the order of its keys."""
+    """Compute the SHA-256 of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 

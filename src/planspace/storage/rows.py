@@ -12,61 +12,61 @@ from planspace.storage.files import read_bytes, sync_folder
 
 
 def append_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, key: str) -> None:
-    """Appends JSON lines to a log and flushes them; where they do not fit, no part of them is left.
+    """Append rows to a log and flush it. On a full disk, none of them is appended.
 
-    A row that is there already is not appended again: what comes between a row and the checkpoint that counts
-    it (an interrupt, a crash) has the row done once more, and the same.
+    A row that the log already holds is not appended again: if a run stops after writing a row and before
+    saving the checkpoint that counts it, the continued run computes the same row once more.
 
     Args:
         path: the log.
-        rows: in order of their numbers, at least one.
-        key: where a row holds its number; numbers rise from row to row.
+        rows: at least one row, in the order of their numbers.
+        key: key of a row's number, for example `"step"`. Numbers increase from row to row.
 
     Raises:
-        PlanspaceError: it cannot be written, or `check_file` refuses it.
+        PlanspaceError: the log cannot be written, or `check_file` rejects it.
     """
     with explain_write(path):
-        new = not os.path.lexists(path)
-        whole = b"" if new else _whole_lines(path)
-        known = _numbers_from(rows[0][key], whole, key)
+        is_new = not os.path.lexists(path)
+        complete = b"" if is_new else _complete_lines(path)
+        known = _numbers_from(rows[0][key], complete, key)
         lines = b"".join((json.dumps(row) + "\n").encode() for row in rows if row[key] not in known)
         try:
             with open(path, "ab", buffering=0) as file:
                 if file.write(lines) != len(lines):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                os.fsync(file.fileno())  # without lines, too: an interrupt may have come before it
+                os.fsync(file.fileno())  # even without new lines: an interrupt may have skipped it before
         except OSError:
             if path.exists():
-                os.truncate(path, len(whole))
+                os.truncate(path, len(complete))
             raise
-        if new:
+        if is_new:
             sync_folder(path.parent)
 
 
 def is_row(line: bytes) -> bool:
-    """Whether a line of a log can be read."""
+    """Whether a line of a log is a JSON object."""
     try:
         return isinstance(json.loads(line), dict)
     except (ValueError, RecursionError):
         return False
 
 
-def _whole_lines(path: Path) -> bytes:
-    """A log's content, once a line at the end that a crash cut off is removed."""
+def _complete_lines(path: Path) -> bytes:
+    """Read a log after removing a last line that a crash left incomplete."""
     data = read_bytes(path)
-    whole = data[: data.rfind(b"\n") + 1]
-    if len(whole) < len(data):
-        os.truncate(path, len(whole))
-    return whole
+    complete = data[: data.rfind(b"\n") + 1]
+    if len(complete) < len(data):
+        os.truncate(path, len(complete))
+    return complete
 
 
 def _numbers_from(first: int, log: bytes, key: str) -> set[int]:
-    """The numbers of the last rows of a log, as far back as they are not below the first."""
+    """Numbers of the last rows of a log, back to the first that is below `first`."""
     found: set[int] = set()
     for line in reversed(log.splitlines()):
-        there = json.loads(line).get(key) if is_row(line) else None
-        if isinstance(there, int):
-            if there < first:
+        number = json.loads(line).get(key) if is_row(line) else None
+        if isinstance(number, int):
+            if number < first:
                 break
-            found.add(there)
+            found.add(number)
     return found

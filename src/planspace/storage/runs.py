@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 try:
@@ -16,35 +17,47 @@ from planspace.errors import PlanspaceError
 from planspace.storage.checks import CONFIG, explain_write
 from planspace.storage.files import TEMPORARY_PREFIX, make_folder
 from planspace.storage.json_files import read_json, write_json
+from planspace.storage.settings import list_differences, update_settings
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
-def open_run(path: Path, config: Mapping[str, Any]) -> Path:
-    """Opens a run folder, new or to be continued.
+def open_run(
+    path: Path,
+    config: Mapping[str, Any],
+    *,
+    renamed: Mapping[str, str] = NOTHING,
+    added: Mapping[str, Any] = NOTHING,
+) -> Path:
+    """Open a run folder, to start a run or to continue it.
 
     Args:
         path: the folder.
-        config: the resolved settings, plain data; kept as `config.json`.
+        config: the resolved settings as plain data; saved as `config.json`.
+        renamed: old names of settings to today's, so that runs of earlier versions can be continued; see
+            `update_settings`.
+        added: settings that earlier versions did not have, and the value that reproduces what they did.
 
     Returns:
         The folder.
 
     Raises:
-        PlanspaceError: it cannot be written, holds something else, or was made with other settings
-            (each difference is named).
+        PlanspaceError: the folder cannot be written, is not a run, or was made with other settings (the
+            message lists each difference).
     """
     make_folder(path)
-    kept = path / CONFIG
+    saved = path / CONFIG
     config = json.loads(json.dumps(config))
-    if not kept.exists():
-        strangers = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
-        if strangers:
+    if not saved.exists():
+        others = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
+        if others:
             raise PlanspaceError(
-                f"{path} is not empty and is not a planspace run (it holds {sorted(strangers)[0]!r}); "
+                f"{path} is not empty and is not a planspace run (it holds {sorted(others)[0]!r}); "
                 "choose another --out."
             )
-        write_json(kept, config)
+        write_json(saved, config)
         return path
-    changed = list(list_differences(read_json(kept), config))
+    changed = list(list_differences(update_settings(read_json(saved), renamed=renamed, added=added), config))
     if changed:
         raise PlanspaceError(
             f"{path} was made with other settings: {'; '.join(changed)}. "
@@ -55,13 +68,13 @@ def open_run(path: Path, config: Mapping[str, Any]) -> Path:
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Keeps a folder to this process; a crash gives it up, too.
+    """Reserve a folder for this process inside the block. A crash releases it.
 
     Raises:
-        PlanspaceError: another process keeps it.
+        PlanspaceError: another process has reserved it.
     """
     with explain_write(folder):
-        flags = os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)  # a link's target is not to be made
+        flags = os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)  # never create the target of a link
         descriptor = os.open(folder / f"{TEMPORARY_PREFIX}lock", flags)
     try:
         if fcntl is not None:
@@ -69,18 +82,8 @@ def lock_folder(folder: Path) -> Iterator[None]:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise PlanspaceError(
-                    f"another command is at work in {folder}; wait for it, or choose another --out."
+                    f"another command is running in {folder}; wait for it, or choose another --out."
                 ) from error
         yield
     finally:
         os.close(descriptor)
-
-
-def list_differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Names each value that is not the same in two trees of plain data."""
-    for key in sorted(old.keys() | new.keys()):
-        before, now = old.get(key), new.get(key)
-        if isinstance(before, dict) and isinstance(now, dict):
-            yield from list_differences(before, now, f"{prefix}{key}.")
-        elif before != now:
-            yield f"{prefix}{key} was {before!r}, now {now!r}"

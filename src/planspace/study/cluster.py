@@ -22,7 +22,8 @@ from typing import Any
 from planspace.errors import PlanspaceError, UsageError
 from planspace.storage.files import make_folder, read_bytes, write_bytes
 from planspace.storage.json_files import json_hash
-from planspace.storage.runs import list_differences, lock_folder
+from planspace.storage.runs import lock_folder
+from planspace.storage.settings import list_differences
 from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
 from planspace.study.pool import REFRESH_S, named
 from planspace.study.unit import Unit

@@ -13,11 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import jax
-import mujoco
 import numpy as np
 
-import planspace
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
 from planspace.embed.embedding import Embedding, load_embedding
@@ -30,9 +27,10 @@ from planspace.plan.planner import PlannerConfig
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
-from planspace.storage.compiled import keep_compiled
+from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.provenance import Provenance
 from planspace.study.plans_2020 import wound_plans
 from planspace.study.stick_figure import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
@@ -40,7 +38,7 @@ from planspace.tasks.problem_file import load_problem
 from planspace.workers import count_cores
 
 SCHEMA = 1
-VERSIONS = {"planspace": planspace.__version__, "mujoco": mujoco.__version__, "jax": jax.__version__}
+VERSIONS = Provenance.current("mujoco", "jax").plain()
 WHOLE = "unit.whole"
 """In the folder of a unit that came to its end."""
 KEPT_EVERY, SHORT = 5, 50
@@ -78,9 +76,7 @@ def read_result(unit: Unit, out: Path) -> dict[str, Any]:
     Raises:
         PlanspaceError: it is damaged, or was written by a newer planspace.
     """
-    return read_description(
-        result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA, name="unit"
-    )
+    return read_description(result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA)
 
 
 def execute(unit: Unit, out: Path) -> None:
@@ -93,7 +89,7 @@ def execute(unit: Unit, out: Path) -> None:
     Raises:
         PlanspaceError: it failed; what was done is saved.
     """
-    keep_compiled()
+    use_compilation_cache()
     began = time.monotonic()
     folder = folder_of(unit, out)
     resumed = folder.exists()

@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from planspace.storage.compiled import KEPT_S, keep_compiled
+from planspace.storage.compiled import MAX_AGE_S, use_compilation_cache
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="nothing is kept on Windows")
 
@@ -39,7 +39,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def kept_in() -> Path | None:
     """Where programs are kept from now on."""
-    keep_compiled()
+    use_compilation_cache()
     chosen = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     return None if chosen is None else Path(chosen)
@@ -95,7 +95,7 @@ def test_nothing_is_taken_from_where_others_write(part: str, cache: Path, tmp_pa
 def test_old_programs_are_removed(cache: Path) -> None:
     folder = kept_in()
     assert folder is not None
-    for name, age in (("old-cache", KEPT_S + 60), ("new-cache", KEPT_S - 60)):
+    for name, age in (("old-cache", MAX_AGE_S + 60), ("new-cache", MAX_AGE_S - 60)):
         (folder / name).write_bytes(b"")
         os.utime(folder / name, (time.time() - age, time.time() - age))
     kept_in()
@@ -104,7 +104,7 @@ def test_old_programs_are_removed(cache: Path) -> None:
 
 def test_a_user_keeps_his_own_cache(cache: Path) -> None:
     jax.config.update("jax_compilation_cache_dir", str(cache / "his"))
-    keep_compiled()
+    use_compilation_cache()
     assert jax.config.jax_compilation_cache_dir == str(cache / "his") and not cache.exists()
 
 

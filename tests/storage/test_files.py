@@ -82,7 +82,9 @@ def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for length in range(len(whole)):
         path.write_bytes(whole[:length])
-        with pytest.raises(PlanspaceError, match=r"f.safetensors was altered or damaged: no readable"):
+        with pytest.raises(
+            PlanspaceError, match=r"f.safetensors was altered or damaged: it is not a readable"
+        ):
             read_arrays(path)
 
 
@@ -135,7 +137,7 @@ def test_a_file_lies_in_its_folder_which_may_be_a_link(kind: str, tmp_path: Path
     (tmp_path / "folder").mkdir()
     link = tmp_path / "folder" / file.name
     link.symlink_to(file)
-    with pytest.raises(PlanspaceError, match=f"{link} is a link out of its folder, to {file}; put a copy"):
+    with pytest.raises(PlanspaceError, match=f"{link} is a link out of its folder, to {file}; replace it"):
         READERS[kind](link)
     link.unlink()
     link.symlink_to(link)
@@ -185,7 +187,7 @@ def test_a_lack_of_memory_is_one_line(
         raise MemoryError
 
     monkeypatch.setattr(call, fail)
-    with pytest.raises(PlanspaceError, match=f"there is not enough memory to read {file}"):
+    with pytest.raises(PlanspaceError, match=f"not enough memory to read {file}"):
         READERS[kind](file)
 
 
