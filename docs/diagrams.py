@@ -1,4 +1,7 @@
-"""Draws the three diagrams of how-it-works.md, after the paper's figures: `python docs/diagrams.py`."""
+"""Draw the diagrams of how-it-works.md, after the paper's figures, and of CONTRIBUTING.md.
+
+python docs/diagrams.py
+"""
 
 from pathlib import Path
 
@@ -16,7 +19,7 @@ plt.rcParams["svg.fonttype"] = "none"
 
 
 def canvas(width: float, height: float) -> Axes:
-    """An empty sheet, a unit to half an inch."""
+    """Make an empty sheet. One unit is half an inch."""
     figure = plt.figure(figsize=(width / 2, height / 2))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
@@ -25,7 +28,7 @@ def canvas(width: float, height: float) -> Axes:
 
 
 def save(axes: Axes, name: str) -> None:
-    """Writes the sheet, without a date."""
+    """Write the sheet, without a date."""
     axes.figure.savefig(FIGURES / f"{name}.svg", metadata={"Date": None}, facecolor="white")
     plt.close(axes.figure)
 
@@ -33,14 +36,14 @@ def save(axes: Axes, name: str) -> None:
 def box(
     axes: Axes, x: float, y: float, text: str, color: str = STEP, width: float = 2.6, height: float = 1.1
 ):
-    """A box round its centre."""
+    """Draw a box around its centre."""
     corner, style = (x - width / 2, y - height / 2), "round,pad=0.02,rounding_size=0.15"
     axes.add_patch(FancyBboxPatch(corner, width, height, boxstyle=style, facecolor=color, edgecolor=INK))
     axes.text(x, y, text, ha="center", va="center", fontsize=11)
 
 
 def node(axes: Axes, x: float, y: float, text: str, color: str) -> None:
-    """A random variable; those that are observed are filled."""
+    """Draw a random variable. Observed ones are filled."""
     axes.add_patch(Circle((x, y), 0.55, facecolor=color, edgecolor=INK))
     axes.text(x, y, text, ha="center", va="center", fontsize=13)
 
@@ -54,14 +57,14 @@ def arrow(
     heads: str = "-|>",
     bend: float = 0,
 ) -> None:
-    """An arrow from point to point."""
+    """Draw an arrow between two points."""
     look = {"arrowstyle": heads, "linestyle": style, "color": color, "shrinkA": 0, "shrinkB": 0}
     look |= {"mutation_scale": 13, "connectionstyle": f"arc3,rad={bend}", "linewidth": 1.2}
     axes.annotate("", xy=end, xytext=start, arrowprops=look)
 
 
 def draw_triplet() -> None:
-    """The model: three states, two latent points, and the third halfway between."""
+    """Draw the model: three states, two latent points, and their midpoint."""
     axes = canvas(12, 6.6)
     axes.add_patch(
         FancyBboxPatch((0.6, 0.7), 10.8, 5.1, boxstyle="round,pad=0", fill=False, edgecolor="#888888")
@@ -81,7 +84,7 @@ def draw_triplet() -> None:
 
 
 def draw_flow() -> None:
-    """What is computed of a triplet, and where the terms of the bound arise."""
+    """Draw what is computed from a triplet, and the terms of the bound."""
     axes = canvas(22, 11)
     rows = {"a": 8.6, "t": 5.4, "b": 2.2}
     for name, y in rows.items():
@@ -111,34 +114,83 @@ def draw_flow() -> None:
 
 
 def draw_system() -> None:
-    """From a model of the robot to an agent."""
+    """Draw the way from a robot model to an agent."""
     axes = canvas(21, 9)
     box(axes, 2.2, 5, "robot model\n(MJCF)", STATE, 3.2, 1.5)
     box(axes, 7.4, 5, "planner\nSST*, polish", STEP, 3.2, 1.5)
-    box(axes, 7.4, 2.2, "MuJoCo\nmany at once", STEP, 3.2, 1.5)
+    box(axes, 7.4, 2.2, "MuJoCo\nin batches", STEP, 3.2, 1.5)
     box(axes, 12.2, 8, "people, controllers, Minari", STATE, 5.2, 1)
     box(axes, 12.2, 5, "demonstrations", LATENT, 3.4, 1.5)
     for offset, text in ((0.4, ""), (0.2, ""), (0.0, "embedding\nseeds 0, 1, ...")):
         box(axes, 17 + offset, 5 + offset, text, STEP, 3.2, 1.5)
-    box(axes, 17, 2.2, "the best one", LATENT, 3.0, 1.2)
+    box(axes, 17, 2.2, "best embedding", LATENT, 3.2, 1.2)
     box(axes, 12.2, 2.2, "environment\n+ z", STEP, 3.0, 1.5)
     box(axes, 12.2, 0.4, "agent: TRPO, PPO, yours", STATE, 4.8, 0.7)
     arrow(axes, (3.8, 5), (5.8, 5))
     arrow(axes, (2.2, 4.25), (5.8, 2.2), bend=0.3)
     arrow(axes, (7.4, 4.25), (7.4, 2.95), heads="<|-|>")
-    axes.text(7.6, 3.6, "propagates, proves", fontsize=9, va="center")
+    axes.text(7.6, 3.6, "simulates, checks", fontsize=9, va="center")
     arrow(axes, (9, 5), (10.5, 5))
     arrow(axes, (12.2, 7.5), (12.2, 5.75))
     arrow(axes, (13.9, 5), (15.4, 5))
     arrow(axes, (17, 4.25), (17, 2.8))
-    axes.text(17.2, 3.6, "chosen on validation\ndemonstrations", fontsize=9, va="center")
-    arrow(axes, (15.5, 2.2), (13.7, 2.2))
+    axes.text(17.2, 3.6, "selected on validation\ndemonstrations", fontsize=9, va="center")
+    arrow(axes, (15.4, 2.2), (13.7, 2.2))
     arrow(axes, (9, 2.2), (10.7, 2.2))
     arrow(axes, (12.2, 1.45), (12.2, 0.75), heads="<|-|>")
     save(axes, "system")
+
+
+GROUND = {
+    "errors, progress\nworkers, seams": "",
+    "storage": "atomic files,\ncheckpoints",
+    "mjcf": "checks of\nMuJoCo models",
+    "physics": "state spaces,\nsimulation",
+}
+"""The ground floor of the package, in import order."""
+STAGES = {
+    "tasks": ("problems, tasks", "Task"),
+    "demos": ("datasets", "file format"),
+    "plan": ("SST*, polish", "Planner"),
+    "embed": ("networks, fit", "Objective"),
+    "envs": ("Gymnasium,\nwrappers", ""),
+    "rl": ("TRPO, PPO", "Algorithm"),
+}
+"""The stages, in import order: what each holds, and what users can add to it."""
+TOP = {"figures": "for all stages", "study": "arms, statistics, reports", "cli": "one file per verb"}
+"""The packages above the stages, in import order."""
+
+
+def draw_house() -> None:
+    """Draw the packages, their import order, and the seams."""
+    axes = canvas(23, 11.6)
+    for i, (name, about) in enumerate(TOP.items()):
+        box(axes, 4.3 + 7.2 * i, 10.5, f"{name}\n{about}", STEP, 6.4, 1.4)
+    for i in range(2):
+        arrow(axes, (8.3 + 7.2 * i, 10.5), (7.5 + 7.2 * i, 10.5))
+    for i, (name, (about, seam)) in enumerate(STAGES.items()):
+        x = 2.5 + 3.6 * i
+        box(axes, x, 6.4, f"{name}\n{about}", LATENT, 2.8, 2.0)
+        if seam:
+            box(axes, x, 8.5, seam, STATE, 2.4, 0.8)
+            arrow(axes, (x, 8.1), (x, 7.42), style="--")
+        if i:
+            arrow(axes, (x - 1.4, 6.4), (x - 2.2, 6.4))
+    for i, (name, about) in enumerate(GROUND.items()):
+        box(axes, 3.3 + 5.4 * i, 2.9, f"{name}\n{about}".strip(), STEP, 4.6, 1.9)
+        if i:
+            arrow(axes, (1.0 + 5.4 * i, 2.9), (0.2 + 5.4 * i, 2.9))
+    arrow(axes, (11.4, 9.8), (11.4, 9.1))
+    arrow(axes, (11.4, 5.38), (11.4, 3.87))
+    note = (
+        "solid arrows: imports, of the package and of all packages before it; dashed arrows: what you can add"
+    )
+    axes.text(11.4, 1.1, note, ha="center", fontsize=10, color="#555555")
+    save(axes, "house")
 
 
 if __name__ == "__main__":
     draw_triplet()
     draw_flow()
     draw_system()
+    draw_house()

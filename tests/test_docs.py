@@ -1,4 +1,4 @@
-"""The documentation builds without a warning, and what it tells a reader to type works."""
+"""The documentation builds without warnings, and its code and commands work."""
 
 import os
 import re
@@ -6,12 +6,15 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from planspace.cli.entry import main, parse
+from tests.test_package import ORDER
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -29,18 +32,18 @@ SMALLER = {
     "60_000": "2_000",
     "range(3)": "range(1)",
 }
-"""What a reader's patience is asked for, and what a test's."""
+"""Budgets of the pages, and the smaller budgets that the tests use."""
 READ_ALONE = ("text", "yaml", "{toctree}", "{literalinclude}", "{eval-rst}")
-"""Output, tables of contents, and what other tests run."""
+"""Blocks that are not executed here: output, tables of contents, and code that other tests run."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block of code."""
+    """A fenced block of a page."""
 
     language: str
     file: str
-    """Where a reader is to save it; empty if it is to be typed."""
+    """The file in which the reader saves the block; empty if the reader types it."""
     text: str
 
 
@@ -62,9 +65,9 @@ def runs(page: Path) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # a reader is warned by Minari, too
+@pytest.mark.filterwarnings("default")  # Minari warns
 @pytest.mark.parametrize("page", [str(page) for page in PAGES if runs(page)])
-def test_what_it_tells_to_type_works(
+def test_page_runs(
     page: str,
     embedding_folder: Path,
     tmp_path: Path,
@@ -86,25 +89,25 @@ def test_what_it_tells_to_type_works(
             for line in block.text.splitlines():
                 run_line(line, capsys)
         else:
-            assert block.language in READ_ALONE, f"{page} has a block of {block.language} that nothing checks"
+            assert block.language in READ_ALONE, f"nothing checks the {block.language} blocks of {page}"
 
 
 def run_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     program, *arguments = shlex.split(line)
-    if program == "pip":  # installing is what continuous integration does
+    if program == "pip":  # .ci/run installs planspace
         return
     if program == "planspace":
         quick = ["--steps", "20", "--batch", "16"] if arguments[0] == "embed" else []
         assert main([*arguments, *quick]) == 0, capsys.readouterr().err
         return
-    assert program == "python", f"who runs {line!r}?"
+    assert program == "python", f"no test runs {line!r}"
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("page", [str(page) for page in PAGES])
-def test_commands_named_in_passing_exist(page: str) -> None:
-    """Measurements take too long to run again here; their commands must at least be ones that could run."""
+def test_named_commands_parse(page: str) -> None:
+    """Measurements take too long to repeat here, so this only checks that their commands parse."""
     text = re.sub(r"^```.*?^```$", "", (DOCS / page).read_text(), flags=re.MULTILINE | re.DOTALL)
     lines = re.findall(r"^ {4}(planspace .*|python .*)$", text, re.MULTILINE)
     lines += [code for code in re.findall(r"`(planspace [^`]+|python [^`]+)`", text.replace("\n", " "))]
@@ -120,7 +123,7 @@ def test_commands_named_in_passing_exist(page: str) -> None:
 
 
 def assert_parses(words: list[str], line: str) -> None:
-    if "..." in line or not any(word.startswith("--") for word in words):  # the name of a command
+    if "..." in line or not any(word.startswith("--") for word in words):  # only names a command
         words = [*words, "--help"]
     try:
         parse(words)
@@ -128,7 +131,7 @@ def assert_parses(words: list[str], line: str) -> None:
         assert not stop.code, line
 
 
-def test_it_builds_without_a_warning(tmp_path: Path) -> None:
+def test_build_has_no_warnings(tmp_path: Path) -> None:
     for module in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(module, reason="needs the extra docs")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(tmp_path / "html")]
@@ -137,27 +140,48 @@ def test_it_builds_without_a_warning(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     html = (tmp_path / "html" / "how-it-works.html").read_text()
-    assert "https://" not in re.sub(r'<a [^>]*href="[^"]*"', "", html)  # nothing is fetched to read it
+    assert "https://" not in re.sub(r'<a [^>]*href="[^"]*"', "", html)  # a page loads no remote resource
 
 
-def test_the_diagrams_are_what_their_script_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    script = (DOCS / "diagrams.py").read_text()
-    names: dict = {"__name__": "diagrams", "__file__": str(tmp_path / "diagrams.py")}
-    (tmp_path / "figures").mkdir()
+@contextmanager
+def matplotlib_settings() -> Iterator[None]:
+    """Restore Matplotlib's settings and backend, which the script changes."""
     import matplotlib
 
     backend = matplotlib.get_backend()
     with matplotlib.rc_context():
-        exec(script, names)
-        for draw in ("draw_triplet", "draw_flow", "draw_system"):
-            names[draw]()
+        yield
     matplotlib.use(backend)
+
+
+def test_diagrams_match_their_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = (DOCS / "diagrams.py").read_text()
+    names: dict = {"__name__": "diagrams", "__file__": str(tmp_path / "diagrams.py")}
+    (tmp_path / "figures").mkdir()
+    with matplotlib_settings():
+        exec(script, names)
+        for draw in ("draw_triplet", "draw_flow", "draw_system", "draw_house"):
+            names[draw]()
     drawn = list((tmp_path / "figures").iterdir())
-    assert len(drawn) == 3
+    assert len(drawn) == 4
     pages = [[f.read_text() for f in (file, DOCS / "figures" / file.name)] for file in drawn]
     now, then = ([int(x) for x in re.findall(r"Matplotlib v([0-9.]+)", p)[0].split(".")] for p in pages[0])
     if now < then:
-        pytest.skip("an older Matplotlib cuts formulas in other pieces")
+        pytest.skip("an older Matplotlib splits formulas differently")
     for page in pages:
         texts = [re.findall(r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", svg) for svg in page]
         assert texts[0] == texts[1]
+
+
+def test_house_diagram_names_every_package() -> None:
+    names: dict = {"__name__": "diagrams", "__file__": str(DOCS / "diagrams.py")}
+    with matplotlib_settings():
+        exec((DOCS / "diagrams.py").read_text(), names)
+    drawn = [re.split(r"[,\n] ?", name) for name in names["GROUND"]]
+    drawn += [[name] for name in (*names["STAGES"], *names["TOP"])]
+    package = ROOT / "src" / "planspace"
+    found = {p.parent.name for p in package.glob("*/__init__.py")}
+    found |= {p.stem for p in package.glob("*.py") if not p.name.startswith("__")}
+    in_order = [name for group in drawn for name in group]
+    assert set(in_order) == found
+    assert [name for name in in_order if name in ORDER] == ORDER
