@@ -12,7 +12,7 @@ import time
 import numpy as np
 from mujoco.batch import Batch
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, SSTConfig
 from planspace.tasks.problem import Problem

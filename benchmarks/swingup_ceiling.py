@@ -16,7 +16,7 @@ import numpy as np
 
 from planspace.embed.embedding import load_embedding
 from planspace.envs.batch import TaskBatch
-from planspace.physics.simulate import advance
+from planspace.physics.replay import advance
 from planspace.plan.planner import Failure, Planner, PlannerConfig
 from planspace.plan.regulator import Regulator
 from planspace.progress import progress

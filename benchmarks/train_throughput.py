@@ -30,7 +30,7 @@ from unittest import mock
 import numpy as np
 
 from planspace.envs.batch import TaskBatch
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
 from planspace.tasks.task import TASKS

@@ -161,8 +161,11 @@ def test_a_kinematic_space_has_no_velocities() -> None:
     [
         ({"velocity_bound": [1.0, 2.0]}, "velocity_bound has 2 numbers; the joints have 10 velocities"),
         ({"position_bounds": {"fre": ([0.0], [1.0])}}, "Did you mean 'free'"),
-        ({"position_bounds": {"free": ([0.0], [1.0])}}, "a free joint takes 3 numbers a side"),
-        ({"position_bounds": {"ball": ([0.0], [1.0])}}, "a ball joint takes 0 numbers a side"),
+        (
+            {"position_bounds": {"free": ([0.0], [1.0])}},
+            "a free joint takes 3 lower and 3 upper bounds, got 1 and 1",
+        ),
+        ({"position_bounds": {"ball": ([0.0], [1.0])}}, "a ball joint takes 0 lower and 0 upper bounds"),
     ],
 )
 def test_bounds_that_do_not_fit_are_refused(settings: dict, message: str) -> None:

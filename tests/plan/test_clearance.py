@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from planspace.mjcf.compile import load_model
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan import clearance as module
 from planspace.plan.clearance import REACH, Clearance, collidable_pairs
 from planspace.tasks.problem_file import load_problem

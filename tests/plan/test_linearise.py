@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.tasks.problem_file import load_problem
 

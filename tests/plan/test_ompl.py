@@ -39,7 +39,7 @@ def test_every_control_planner_finds_an_easy_way(planner: str) -> None:
     search, goal = ask(problem, planner, start, 0.4)
     assert search.arrived, search.note
     model, space = problem.compile()
-    from planspace.physics.simulate import replay
+    from planspace.physics.replay import replay
 
     times = np.arange(len(search.controls) + 1) * model.opt.timestep
     states = replay(model, space, start, search.controls, times)

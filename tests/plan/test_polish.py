@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.clearance import Clearance
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.polish import Polish, PolishConfig

@@ -6,7 +6,7 @@ import pytest
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import ASSETS
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig
 from planspace.plan.sst import SSTConfig

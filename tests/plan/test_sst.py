@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan import tree as tree_module
 from planspace.plan.regulator import Regulator, RegulatorConfig
 from planspace.plan.sst import SST, Search, SSTConfig

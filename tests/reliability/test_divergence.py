@@ -13,7 +13,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors, validate
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig

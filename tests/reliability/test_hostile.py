@@ -29,7 +29,7 @@ from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf import subprocess_model as apart
 from planspace.mjcf.model_check import parse_model
 from planspace.mjcf.read import read_model
-from planspace.mjcf.subprocess_model import compile_apart
+from planspace.mjcf.subprocess_model import check_compiles
 from planspace.rl.play import make_env
 from planspace.rl.saved_policy import load_policy, save_policies
 from planspace.storage.arrays import read_arrays, write_arrays
@@ -581,21 +581,21 @@ def test_the_model_in_a_dataset_reaches_out(inside: str, dataset: Path, tmp_path
 
 def test_a_model_of_strangers_is_compiled_apart(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = f"<mujoco>{{}}<worldbody>{BODY}</worldbody></mujoco>"
-    compile_apart(text.format(""))
+    check_compiles(text.format(""))
     (models / "model.xml").write_text(text.format(""))
-    assert apart.read_model_apart(models / "model.xml") == text.format("")
+    assert apart.read_model_in_subprocess(models / "model.xml") == text.format("")
     with pytest.raises(PlanspaceError, match="does not compile: .*nonsense"):
-        compile_apart("<mujoco><nonsense/></mujoco>")
+        check_compiles("<mujoco><nonsense/></mujoco>")
     with pytest.raises(UsageError, match="unknown joint 'x'"):
-        apart.read_model_apart(models / "model.xml", ["x"])
+        apart.read_model_in_subprocess(models / "model.xml", ["x"])
     greedy = text.format('<size memory="1000M"/>')
-    compile_apart(greedy)
+    check_compiles(greedy)
     monkeypatch.setattr(apart, "MEMORY_BYTES", 1 << 30)
     with pytest.raises(PlanspaceError, match="does not compile: .*Could not allocate memory"):
-        compile_apart(greedy)
+        check_compiles(greedy)
     monkeypatch.setattr(apart, "WALL_S", 0.01)
     with pytest.raises(PlanspaceError, match="does not compile within .* 1 GiB of memory"):
-        compile_apart(text.format(""))
+        check_compiles(text.format(""))
 
 
 @pytest.mark.parametrize("words", ["plan", "demos import"])
@@ -619,14 +619,14 @@ def test_a_model_that_crashes_mujoco_is_not_taken(tmp_path: Path, monkeypatch: p
     (tmp_path / "python").chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(PlanspaceError, match="does not compile within .* or crashes MuJoCo"):
-        compile_apart("<mujoco/>")
+        check_compiles("<mujoco/>")
 
 
 def test_a_model_that_takes_all_day_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(apart, "CPU_S", 2)
     crowd = '<replicate count="4900" offset="1 0 0"><geom name="g" size="0.1"/></replicate>'  # 5 s
     with pytest.raises(PlanspaceError, match="does not compile within 2 s of one processor"):
-        compile_apart(f"<mujoco><worldbody>{crowd}</worldbody></mujoco>")
+        check_compiles(f"<mujoco><worldbody>{crowd}</worldbody></mujoco>")
 
 
 # --- problems --------------------------------------------------------------------------------------------

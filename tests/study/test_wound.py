@@ -5,7 +5,7 @@ import pytest
 
 from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import replay
+from planspace.physics.replay import replay
 from planspace.study.plans_2020 import MAX_STEPS, distance_of_2020, wound_plans
 from planspace.tasks.problem_file import load_problem
 

@@ -93,12 +93,12 @@ class Render:
         """Render and save the film."""
         from planspace.demos.folder import load_demos
         from planspace.demos.render import FilmConfig, render_demos
-        from planspace.mjcf.subprocess_model import compile_apart
+        from planspace.mjcf.subprocess_model import check_compiles
 
         config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
         demos = load_demos(self.folder)
         if self.untrusted:
-            compile_apart(demos.info.mjcf)
+            check_compiles(demos.info.mjcf)
         render_demos(demos, self.out, config)
         print(self.out)
 

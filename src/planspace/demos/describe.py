@@ -9,8 +9,8 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
 from planspace.errors import PlanspaceError
-from planspace.mjcf.subprocess_model import compile_apart
-from planspace.physics.simulate import replay
+from planspace.mjcf.subprocess_model import check_compiles
+from planspace.physics.replay import replay
 from planspace.progress import progress_over
 
 REPLAY_TOLERANCE = 1e-6
@@ -57,7 +57,7 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
     """
     demos = _opened(folder)
     if replay_controls and untrusted:
-        compile_apart(demos.info.mjcf)
+        check_compiles(demos.info.mjcf)
     worst = 0.0
     for first, part in progress_over(_parts(demos), "validate", unit="shard"):
         _check_numbers(part, first, folder)

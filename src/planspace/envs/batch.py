@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.tasks.observation_types import RewardType
 from planspace.tasks.task import Task
 

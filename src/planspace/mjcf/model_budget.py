@@ -66,7 +66,7 @@ WRITTEN_OUT = ("direct", "mesh", "gmsh")
 """Kinds of flexible bodies whose points stand in the text or in a file."""
 
 
-def check_demands(root: ElementTree.Element, where: str) -> None:
+def check_budget(root: ElementTree.Element, where: str) -> None:
     """Refuses a model that asks for more than any robot needs.
 
     Args:

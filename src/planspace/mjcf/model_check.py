@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from planspace.errors import PlanspaceError
-from planspace.mjcf.model_budget import CELLS, MAX_DEPTH, MOST, check_demands
+from planspace.mjcf.model_budget import CELLS, MAX_DEPTH, MOST, check_budget
 from planspace.storage.checks import check_file, explain_read
 
 MAX_ASSET_BYTES = 64 << 20
@@ -42,7 +42,7 @@ def parse_model(text: str, where: str) -> ElementTree.Element:
             raise PlanspaceError(
                 f"{where} has {FORBIDDEN[element.tag]}: planspace does not take such models."
             )
-    check_demands(root, where)
+    check_budget(root, where)
     return root
 
 

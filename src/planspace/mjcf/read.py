@@ -9,7 +9,7 @@ import numpy as np
 
 from planspace.errors import PlanspaceError, unknown
 from planspace.mjcf.compile import MUJOCO_ERRORS, compiling
-from planspace.mjcf.model_budget import check_demands
+from planspace.mjcf.model_budget import check_budget
 from planspace.mjcf.model_check import FILE_ATTRIBUTES, check_assets, parse_model
 from planspace.storage.files import read_bytes
 
@@ -109,7 +109,7 @@ def _referred_files(path: Path) -> list[Path]:
                 referred += [_inside(file, folder, place, name) for place in sorted(places)]
     for element, root in included_by:
         element.extend(root)
-    check_demands(roots[path.resolve()], str(path))  # of all files together
+    check_budget(roots[path.resolve()], str(path))  # of all files together
     return referred
 
 

@@ -16,7 +16,7 @@ MEMORY_BYTES = 4 << 30
 CPU_S, WALL_S = 60, 120
 
 
-def read_model_apart(path: Path, joints: Sequence[str] | None = None) -> str:
+def read_model_in_subprocess(path: Path, joints: Sequence[str] | None = None) -> str:
     """As `read_model`, in a process of its own.
 
     Raises:
@@ -28,7 +28,7 @@ def read_model_apart(path: Path, joints: Sequence[str] | None = None) -> str:
     )
 
 
-def compile_apart(xml: str) -> None:
+def check_compiles(xml: str) -> None:
     """Sees in a process of its own whether a model's text compiles.
 
     Raises:

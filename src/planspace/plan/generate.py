@@ -15,7 +15,7 @@ import numpy as np
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.folder import DemoFolder
 from planspace.errors import PartialResult, UsageError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.ompl import check_ompl
 from planspace.plan.planner import MAX_ATTEMPTS, Failure, Planner, PlannerConfig
 from planspace.progress import progress

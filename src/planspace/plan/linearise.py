@@ -8,7 +8,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 
 NUDGE = 1e-6
 """Half the width of the differences. Controls are nudged inwards at their bounds, where MuJoCo clips them."""

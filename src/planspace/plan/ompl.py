@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.tasks.problem import Goal, Problem
 from planspace.workers import end_with_parent
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from planspace.physics import quaternion
 from planspace.physics.angles import wrap
-from planspace.physics.simulate import FREE, Simulator, advance
+from planspace.physics.replay import advance
+from planspace.physics.simulator import FREE, Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.ompl import CONTROL_PLANNERS, GEOMETRIC_PLANNERS, OMPLConfig
 from planspace.tasks.problem import Goal, Problem

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.plan.clearance import Clearance
 from planspace.tasks.problem import Goal

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float, Int
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.tasks.problem import Goal
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.regulator import Regulator
 from planspace.plan.tree import Tree
 from planspace.tasks.problem import Goal, Problem

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.tasks.problem import Problem
 
 NEIGHBOURS = 8

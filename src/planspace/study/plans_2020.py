@@ -17,7 +17,7 @@ from jaxtyping import Float
 from planspace.demos.dataset import Episode
 from planspace.demos.folder import DemoFolder
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.generate import SHARD_EPISODES, state_info
 from planspace.progress import progress
 from planspace.tasks.problem import Problem

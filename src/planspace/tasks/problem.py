@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import GeomPairs, load_model
-from planspace.physics.simulate import Simulator, Validity
+from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
 

@@ -15,8 +15,8 @@ import yaml
 from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.mjcf.compile import ASSETS, GeomPairs, load_model
 from planspace.mjcf.read import read_model
-from planspace.mjcf.subprocess_model import read_model_apart
-from planspace.physics.simulate import Simulator, control_bounds
+from planspace.mjcf.subprocess_model import read_model_in_subprocess
+from planspace.physics.simulator import Simulator, control_bounds
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.files import read_bytes
 from planspace.tasks.problem import Box, Problem
@@ -69,7 +69,7 @@ def load_problem(name_or_file: str, *, untrusted: bool = False) -> Problem:
     if name_or_file in shipped_problems():
         return _read_problem(ASSETS / f"{name_or_file}.yaml")
     if name_or_file.endswith((".yaml", ".yml")):
-        return _read_problem(Path(name_or_file), read_model_apart if untrusted else read_model)
+        return _read_problem(Path(name_or_file), read_model_in_subprocess if untrusted else read_model)
     if Path(name_or_file).is_file():
         raise UsageError(f"{name_or_file} is no problem file: its name should end in .yaml.")
     raise unknown("problem", name_or_file, shipped_problems())

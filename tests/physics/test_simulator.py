@@ -7,7 +7,8 @@ import pytest
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import load_model
-from planspace.physics.simulate import Simulator, Validity, advance, replay
+from planspace.physics.replay import advance, replay
+from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import StateSpace
 from planspace.tasks.task import TASKS
 
@@ -201,7 +202,7 @@ def test_unknown_geoms_and_actuators_with_a_state_are_refused() -> None:
     with pytest.raises(UsageError, match="unknown geom 'bal'. Did you mean 'ball'"):
         load_model(BALL_AND_WALLS, (("bal", "left"),))
     model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="filter" dynprm="0.1"'))
-    with pytest.raises(UsageError, match="actuators have activations"):
+    with pytest.raises(UsageError, match="actuators with activations"):
         Simulator(model, StateSpace.from_model(model, ["x"]), 1)
 
 

@@ -1,11 +1,11 @@
-"""Many copies of one model stepped together on a thread pool, and the plain loop that checks them.
+"""Many simulations of one model, stepped together on a thread pool.
 
-The physics is MuJoCo's own C code through `mujoco.batch`: bit-identical to a loop over `mj_step` at any
-number of threads. MuJoCo would silently reset a state that diverged; our models switch that off
+The physics is MuJoCo's C code through `mujoco.batch`: the results are bit-identical to a loop over `mj_step`
+for any number of threads. By default MuJoCo silently resets a state that diverged; our models turn this off
 (`autoreset`), and `Simulator.diverged` reads the warning counters.
 
-A kinematic space has no dynamics: there a control is the velocity of each degree of freedom, a step moves
-the positions along it, and only contacts are computed.
+A kinematic space has no dynamics: a control is the velocity of each degree of freedom, a step moves the
+positions along it, and MuJoCo computes only contacts.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import UsageError
 from planspace.mjcf.compile import GeomPairs, stepping
 from planspace.physics.space import StateSpace
 
@@ -25,38 +25,33 @@ _WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
-    int(mujoco.mjtWarning.mjWARN_BADCTRL),  # MuJoCo then takes all controls as 0
+    int(mujoco.mjtWarning.mjWARN_BADCTRL),  # MuJoCo then sets all controls to 0
 ]
-
-
 _POSITION_STAGE = int(mujoco.mjtStage.mjSTAGE_POS)
-
-MAX_REPEATS = 100_000
-"""Steps between two recorded states."""
 
 
 @dataclass(frozen=True)
 class Validity:
-    """What a state must not do beside leaving its bounds."""
+    """Conditions that make a state invalid besides leaving its bounds."""
 
     forbidden_contacts: Literal["none", "all"] | GeomPairs = "none"
-    """No contact is forbidden, every one is, or those between the geoms of each pair."""
+    """Which contacts are forbidden: none, all, or those between the two geoms of each pair."""
     predicate: Callable[[np.ndarray], np.ndarray] | None = None
-    """States [batch, state] to whether each is allowed [batch]; to be used in workers it must be a function
-    that a module has by name."""
+    """Function from states [batch, state] to whether each is allowed [batch]. Worker processes can only use a
+    function that is defined at the top level of a module."""
 
     @property
     def pairs(self) -> GeomPairs:
-        """The pairs of geoms that must not touch; empty where all or none are meant."""
+        """The pairs of geoms that must not touch; empty if all contacts or none are forbidden."""
         return () if isinstance(self.forbidden_contacts, str) else self.forbidden_contacts
 
 
 FREE = Validity()
-"""Nothing is forbidden."""
+"""Only the bounds make a state invalid."""
 
 
 class Simulator:
-    """`num` simulations of one model."""
+    """Simulations of one model, stepped together."""
 
     def __init__(
         self,
@@ -67,20 +62,24 @@ class Simulator:
         threads: int = 0,
         validity: Validity = FREE,
     ):
-        """Starts the simulations.
+        """Make the simulations.
 
         Args:
-            model: the compiled model; it watches the pairs of `validity`, if there are any.
-            space: which joints make the state.
-            num: how many simulations.
-            threads: physics threads; 0 takes all CPUs. Results do not depend on it.
-            validity: what makes an edge invalid beside leaving the bounds.
+            model: the compiled model; `load_model` must have added contact sensors for the pairs of
+                `validity`.
+            space: state space of the model.
+            num: number of simulations.
+            threads: number of physics threads; 0 means one per CPU. Results do not depend on it.
+            validity: conditions that make an edge invalid besides leaving the bounds.
 
         Raises:
-            UsageError: the model's actuators have a state of their own (muscles, filters).
+            UsageError: the model has actuators with an internal state (muscles, filters).
         """
         if model.na and not space.kinematic:
-            raise UsageError("the model's actuators have activations, a state that is not planned for.")
+            raise UsageError(
+                "the model has actuators with activations (muscles or filters); planspace supports only "
+                "actuators without an internal state."
+            )
         self.model, self.space, self.num, self.validity = model, space, num, validity
         self.threads = threads
         with stepping():
@@ -94,7 +93,7 @@ class Simulator:
         self.control_low, self.control_high = control_bounds(model, space)
 
     def reset(self, states: Float[np.ndarray, "sim state"], ids: np.ndarray | None = None) -> None:
-        """Puts simulations (all, or those of `ids`) into the given states, with a cold solver."""
+        """Set the states of all simulations, or of those in `ids`, and clear the solver's warm start."""
         index = slice(None) if ids is None else ids
         qpos, qvel = self._qpos[index], self._qvel[index]
         self.space.write(states, qpos, qvel)
@@ -105,7 +104,7 @@ class Simulator:
     def step(
         self, controls: Float[np.ndarray, "sim control"], num_steps: int = 1, ids: np.ndarray | None = None
     ) -> None:
-        """Holds each control, clipped to its bounds, for a number of physics steps."""
+        """Apply each control, clipped to its bounds, for a number of physics steps."""
         index = slice(None) if ids is None else ids
         clipped = np.clip(controls, self.control_low, self.control_high)
         stage = 0 if self.validity.forbidden_contacts == "none" else _POSITION_STAGE
@@ -125,13 +124,13 @@ class Simulator:
         return self.space.read(self._qpos, self._qvel)
 
     def diverged(self) -> Bool[np.ndarray, " sim"]:
-        """Which simulations MuJoCo has warned of, or hold a number that is not finite, since their reset."""
+        """Whether each simulation has diverged since its reset: a MuJoCo warning, or a value not finite."""
         warned = self._batch.warning[:, _WARNINGS, 1].any(axis=1)
         finite = np.isfinite(self._qpos).all(axis=1) & np.isfinite(self._qvel).all(axis=1)
         return warned | ~finite
 
     def allowed(self, num: int) -> Bool[np.ndarray, " sim"]:
-        """Whether each of the first `num` simulations is within bounds now, and does nothing forbidden."""
+        """Whether the current state of each of the first `num` simulations is valid."""
         states = self.space.read(self._qpos[:num], self._qvel[:num])
         allowed = self.space.in_bounds(states)
         if self.validity.forbidden_contacts != "none":
@@ -143,7 +142,7 @@ class Simulator:
         return allowed
 
     def valid_states(self, states: Float[np.ndarray, "sim state"]) -> Bool[np.ndarray, " sim"]:
-        """Whether each state is within bounds and does nothing forbidden; overwrites simulations."""
+        """Whether each state is valid; overwrites the states of as many simulations."""
         ids = np.arange(len(states), dtype=np.int32)
         self.reset(states, ids)
         if self.validity.forbidden_contacts != "none":
@@ -152,7 +151,7 @@ class Simulator:
         return self.allowed(len(states))
 
     def mujoco_data(self, sim: int) -> mujoco.MjData:
-        """One simulation as an `MjData` with everything computed, for rendering."""
+        """Copy one simulation to an `MjData` with all quantities computed, for rendering."""
         data = self._batch.get_data(sim)
         with stepping():
             mujoco.mj_forward(self.model, data)
@@ -164,98 +163,38 @@ class Simulator:
         controls: Float[np.ndarray, "edge control"],
         durations: Int[np.ndarray, " edge"],
     ) -> tuple[Float[np.ndarray, "edge state"], Bool[np.ndarray, " edge"]]:
-        """Simulates one edge of a planning tree in each simulation.
+        """Simulate one edge of a planning tree in each simulation.
 
         Args:
-            starts: where each edge begins; at most `num` edges.
-            controls: the control held along each edge.
-            durations: how many physics steps each edge lasts, at least 1.
+            starts: start state of each edge; at most `num` edges.
+            controls: control of each edge, constant along it.
+            durations: number of physics steps of each edge, at least 1.
 
         Returns:
-            Where each edge ends, and whether it is valid: within bounds and nothing forbidden after every
-            step, and no warning of any kind.
+            The end state of each edge, and whether the edge is valid: its state is valid after every step,
+            and MuJoCo gave no warning of any kind.
         """
-        order = np.argsort(-durations, kind="stable")  # the longest first: those still moving are a prefix
+        order = np.argsort(-durations, kind="stable")  # longest first: the edges still moving are a prefix
         sorted_durations = durations[order]
         n = len(starts)
-        everyone = np.arange(n, dtype=np.int32)
-        self.reset(starts[order], everyone)
+        every = np.arange(n, dtype=np.int32)
+        self.reset(starts[order], every)
         valid = np.ones(n, dtype=bool)
         for step in range(int(sorted_durations[0])):
-            moving = everyone[: np.searchsorted(-sorted_durations, -step, side="left")]
+            moving = every[: np.searchsorted(-sorted_durations, -step, side="left")]
             self.step(controls[order[: len(moving)]], ids=moving)
             valid[: len(moving)] &= self.allowed(len(moving))
         ends = self.space.read(self._qpos[:n], self._qvel[:n])
-        valid &= ~self._batch.warning[:n, :, 1].any(axis=1)  # of any kind, not of divergence alone
+        valid &= ~self._batch.warning[:n, :, 1].any(axis=1)  # any kind, not only divergence
         inverse = np.argsort(order, kind="stable")
         return ends[inverse], valid[inverse]
 
 
 def control_bounds(model: mujoco.MjModel, space: StateSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bound of each control; infinite where the model sets none."""
+    """Return the lower and upper bound of each control; infinite where the model has no limit."""
     if space.kinematic:
         return -space.velocity_bound, space.velocity_bound.copy()
     limited = model.actuator_ctrllimited.astype(bool)
     low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
     high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
     return low, high
-
-
-def advance(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    space: StateSpace,
-    control: Float[np.ndarray, " control"],
-    num_steps: int = 1,
-) -> Float[np.ndarray, " state"]:
-    """Holds a control for some steps of plain MuJoCo; returns the state after them."""
-    if space.kinematic:
-        before = space.read(data.qpos, data.qvel)
-        space.write(space.integrate(before, control * num_steps * model.opt.timestep), data.qpos, data.qvel)
-    else:
-        data.ctrl[:] = control
-        with stepping():
-            mujoco.mj_step(model, data, nstep=num_steps)
-    return space.read(data.qpos, data.qvel)
-
-
-def replay(
-    model: mujoco.MjModel,
-    space: StateSpace,
-    start: Float[np.ndarray, " state"],
-    controls: Float[np.ndarray, "step control"],
-    times: Float[np.ndarray, " time"],
-) -> Float[np.ndarray, "time state"]:
-    """Rolls recorded controls out in plain MuJoCo.
-
-    Args:
-        model: the compiled model; its time step is left as it was.
-        space: which joints make the state.
-        start: the first state.
-        controls: the control held between one time and the next.
-        times: when each state was recorded [s]; an interval that is no multiple of the model's time step is
-            simulated as one step of its own length.
-
-    Returns:
-        The state at each time.
-
-    Raises:
-        PlanspaceError: an interval is more steps than anyone would have left out, or MuJoCo cannot go on.
-    """
-    data = mujoco.MjData(model)
-    space.write(start, data.qpos, data.qvel)
-    states = [np.array(start, dtype=float)]
-    own_step = model.opt.timestep
-    try:
-        for control, interval in zip(controls, np.diff(times), strict=True):
-            if not interval <= MAX_REPEATS * own_step:
-                raise PlanspaceError(
-                    f"two states lie {interval:.3g} s apart, more than {MAX_REPEATS} steps of the model."
-                )
-            repeats = round(interval / own_step)
-            whole = repeats >= 1 and abs(interval - repeats * own_step) < 1e-3 * own_step
-            model.opt.timestep = own_step if whole else interval
-            states.append(advance(model, data, space, control, repeats if whole else 1))
-    finally:
-        model.opt.timestep = own_step
-    return np.stack(states)

@@ -1,0 +1,115 @@
+"""The kinds of joints in a MuJoCo model: their numbers in a state, units and bounds."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import mujoco
+import numpy as np
+
+from planspace.errors import UsageError, unknown
+
+Kind = Literal["slide", "hinge", "circle", "ball", "free"]
+"""`circle` is an unlimited hinge."""
+PositionBounds = Mapping[str, tuple[Sequence[float], Sequence[float]]]
+"""Joint name to its lower and upper bounds."""
+
+
+class Numbers(NamedTuple):
+    """The numbers that one joint has in a state."""
+
+    positions: tuple[str, ...]
+    """Suffixes of their names."""
+    velocities: tuple[str, ...]
+    """Suffixes of their names."""
+    position_units: tuple[str, ...]
+    """A quaternion has none."""
+    velocity_units: tuple[str, ...]
+
+
+_XYZ, _QUATERNION, _ROTATION = ("_x", "_y", "_z"), ("_qw", "_qx", "_qy", "_qz"), ("_rx", "_ry", "_rz")
+
+NUMBERS: dict[Kind, Numbers] = {
+    "slide": Numbers(("",), ("",), ("m",), ("m/s",)),
+    "hinge": Numbers(("",), ("",), ("rad",), ("rad/s",)),
+    "circle": Numbers(("",), ("",), ("rad",), ("rad/s",)),
+    "ball": Numbers(_QUATERNION, _ROTATION, ("",) * 4, ("rad/s",) * 3),
+    "free": Numbers(
+        (*_XYZ, *_QUATERNION),
+        (*_XYZ, *_ROTATION),
+        ("m",) * 3 + ("",) * 4,
+        ("m/s",) * 3 + ("rad/s",) * 3,
+    ),
+}
+_KINDS: dict[int, Kind] = {
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+    int(mujoco.mjtJoint.mjJNT_FREE): "free",
+}
+_NUM_BOUNDS: dict[Kind, int] = {"slide": 1, "hinge": 1, "free": 3}
+"""Positions for which the user may set bounds."""
+
+
+def find_joint(model: mujoco.MjModel, name: str) -> int:
+    """Return the id of a joint.
+
+    Raises:
+        UsageError: the model has no joint of that name.
+    """
+    known = [model.joint(i).name for i in range(model.njnt)]
+    if name not in known:
+        raise unknown("joint", name, known)
+    return known.index(name)
+
+
+def joint_kind(model: mujoco.MjModel, joint: int) -> Kind:
+    """Return the kind of the joint with this id."""
+    kind: Kind = _KINDS[int(model.jnt_type[joint])]
+    return "circle" if kind == "hinge" and not model.jnt_limited[joint] else kind
+
+
+def qpos_indices(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Indices of a joint's positions in qpos."""
+    count = len(NUMBERS[joint_kind(model, joint)].positions)
+    return [int(model.jnt_qposadr[joint]) + k for k in range(count)]
+
+
+def qvel_indices(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Indices of a joint's velocities in qvel."""
+    count = len(NUMBERS[joint_kind(model, joint)].velocities)
+    return [int(model.jnt_dofadr[joint]) + k for k in range(count)]
+
+
+def read_bounds(model: mujoco.MjModel, joint: int, given: PositionBounds) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper bound of each position of a joint.
+
+    Args:
+        model: a compiled model.
+        joint: a joint's id.
+        given: the user's bounds; the narrower of these and the model's count.
+
+    Raises:
+        UsageError: the user's bounds do not have the joint's number of positions.
+    """
+    kind, name = joint_kind(model, joint), model.joint(joint).name
+    low = np.full(len(NUMBERS[kind].positions), -np.inf)
+    high = -low
+    if kind in ("slide", "hinge") and model.jnt_limited[joint]:
+        low[:], high[:] = model.jnt_range[joint]
+    if name in given:
+        size = _NUM_BOUNDS.get(kind, 0)
+        if not size or any(len(side) != size for side in given[name]):
+            what = "an unlimited hinge" if kind == "circle" else f"a {kind} joint"
+            got = " and ".join(str(len(side)) for side in given[name])
+            raise UsageError(
+                f"position_bounds of {name!r}: {what} takes {size} lower and {size} upper bounds, got {got}."
+            )
+        low[:size] = np.maximum(low[:size], given[name][0])
+        high[:size] = np.minimum(high[:size], given[name][1])
+    return low, high
+
+
+def read_ball_range(model: mujoco.MjModel, joint: int) -> float:
+    """Largest rotation of a joint from its reference [rad]; infinite unless it is a limited ball."""
+    limited = joint_kind(model, joint) == "ball" and bool(model.jnt_limited[joint])
+    return float(model.jnt_range[joint, 1]) if limited else np.inf
