@@ -55,3 +55,11 @@ def test_gymnasium_names_are_those_of_the_tasks() -> None:
     from planspace.tasks.task import TASKS
 
     assert {task.env_id: (task.name, task.horizon) for task in TASKS.values()} == ENVIRONMENTS
+
+
+def test_every_public_name_is_imported_on_first_use() -> None:
+    for name in planspace.__all__:
+        assert getattr(planspace, name) is not None
+        assert name in dir(planspace)
+    declared = (SOURCE / "__init__.py").read_text()
+    assert all(f"import {name} as {name}\n" in declared for name in planspace.__all__)  # for type checkers

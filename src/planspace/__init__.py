@@ -1,45 +1,57 @@
-"""State embeddings in which demonstrated plans are straight lines, for reinforcement learning."""
+"""State embeddings in which demonstrated plans are straight lines, for reinforcement learning.
+
+The public names below are imported when they are first used, so that `import planspace` brings neither JAX nor
+MuJoCo: an embedding in someone's worker process needs neither.
+"""
 
 __version__ = "0.1.0"
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
-from planspace.embed.embedding import Embedding, load_embedding
 from planspace.envs import register_tasks
-from planspace.errors import PartialResult, PlanspaceError, UsageError
 
 if TYPE_CHECKING:
-    from planspace.demos.dataset import Demos
-    from planspace.demos.folder import load_demos
-    from planspace.rl.saved_policy import Policy, load_policy
+    from planspace.demos.dataset import Demos as Demos
+    from planspace.demos.folder import load_demos as load_demos
+    from planspace.embed.embedding import Embedding as Embedding
+    from planspace.embed.embedding import load_embedding as load_embedding
+    from planspace.errors import PartialResult as PartialResult
+    from planspace.errors import PlanspaceError as PlanspaceError
+    from planspace.errors import UsageError as UsageError
+    from planspace.rl.saved_policy import Policy as Policy
+    from planspace.rl.saved_policy import load_policy as load_policy
+    from planspace.tasks.problem import Problem as Problem
+    from planspace.tasks.problem_file import load_problem as load_problem
+    from planspace.tasks.task import Task as Task
 
-register_tasks()
+_MODULE_OF = {
+    "Demos": "planspace.demos.dataset",
+    "Embedding": "planspace.embed.embedding",
+    "PartialResult": "planspace.errors",
+    "PlanspaceError": "planspace.errors",
+    "Policy": "planspace.rl.saved_policy",
+    "Problem": "planspace.tasks.problem",
+    "Task": "planspace.tasks.task",
+    "UsageError": "planspace.errors",
+    "load_demos": "planspace.demos.folder",
+    "load_embedding": "planspace.embed.embedding",
+    "load_policy": "planspace.rl.saved_policy",
+    "load_problem": "planspace.tasks.problem_file",
+}
 
-__all__ = [
-    "Demos",
-    "Embedding",
-    "PartialResult",
-    "PlanspaceError",
-    "Policy",
-    "UsageError",
-    "load_demos",
-    "load_embedding",
-    "load_policy",
-]
+__all__ = list(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Demonstrations bring MuJoCo with them, which an embedding in someone's worker can do without."""
-    if name == "Demos":
-        from planspace.demos.dataset import Demos
+    """Import a public name from its module."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)
 
-        return Demos
-    if name == "load_demos":
-        from planspace.demos.folder import load_demos
 
-        return load_demos
-    if name in ("Policy", "load_policy"):
-        from planspace.rl import saved_policy
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULE_OF})
 
-        return getattr(saved_policy, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+register_tasks()
