@@ -1,7 +1,7 @@
 """State embeddings in which demonstrated plans are straight lines, for reinforcement learning.
 
-The public names below are imported when they are first used, so that `import planspace` brings neither JAX nor
-MuJoCo: an embedding in someone's worker process needs neither.
+The public names below are imported when they are first used, so that `import planspace` brings neither JAX
+nor MuJoCo: an embedding in someone's worker process needs neither.
 """
 
 __version__ = "0.1.0"
