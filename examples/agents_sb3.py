@@ -1,10 +1,10 @@
-"""An agent of Stable-Baselines3 that sees z: PPO, or TRPO of sb3-contrib, on the swing-up.
+"""A Stable-Baselines3 agent that observes z: PPO, or TRPO from sb3-contrib, on the swing-up.
 
     pip install 'planspace[sb3]'
     python examples/agents_sb3.py EMBEDDING --agent trpo --steps 500000
 
-EMBEDDING is a folder that `planspace embed` or `planspace run` wrote. `--workers ours` steps all episodes on
-one batch of physics; `subproc` is SB3's own vector environment, a process for each episode.
+EMBEDDING is a folder written by `planspace embed` or `planspace run`. `--workers ours` steps all episodes on
+one batch of physics. `--workers subproc` uses SB3's own vector environment, with one process per episode.
 """
 
 import argparse
@@ -25,7 +25,7 @@ AGENTS = {"ppo": PPO, "trpo": TRPO}
 
 
 def make_envs(workers: str, num: int, embedding: str, seed: int) -> VecEnv:
-    """Many swing-ups at once, z appended to sin and cos of the pole's angle."""
+    """Make swing-ups that observe the state, sin and cos of the pole's angle, and z."""
     if workers == "ours":
         return make_vec_env(TASK, num, seed, embedding, env_kwargs={"obs": "trig"})
     return make_sb3_vec_env(
@@ -40,7 +40,7 @@ def make_envs(workers: str, num: int, embedding: str, seed: int) -> VecEnv:
 
 
 def main() -> None:
-    """Trains, and says what the agent earns."""
+    """Train an agent and print its return."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -54,14 +54,14 @@ def main() -> None:
 
     plain = make_envs(arguments.workers, arguments.num_envs, arguments.embedding, arguments.seed)
     envs = VecNormalize(plain, gamma=0.99)
-    rollout = 4000 // arguments.num_envs  # 4,000 steps an iteration
+    rollout = 4000 // arguments.num_envs  # 4,000 steps per iteration
     agent = AGENTS[arguments.agent](
         "MlpPolicy", envs, n_steps=rollout, batch_size=500, seed=arguments.seed, device="cpu", verbose=1
     )
     agent.learn(arguments.steps)
     envs.training = envs.norm_reward = False
-    mean, deviation = evaluate_policy(agent, envs, n_eval_episodes=arguments.num_envs)
-    print(f"return {mean:.1f} (deviation over episodes {deviation:.1f})")
+    mean, spread = evaluate_policy(agent, envs, n_eval_episodes=arguments.num_envs)
+    print(f"return {mean:.1f} (standard deviation over episodes {spread:.1f})")
     envs.close()
 
 

@@ -1,9 +1,9 @@
-"""An embedding for an environment of Gymnasium's own: planned in its model, put in front of its agent.
+"""An embedding for one of Gymnasium's own MuJoCo environments.
 
     python examples/gymnasium_mujoco.py Reacher-v5 --out reacher        # or InvertedPendulum-v5
 
-Demonstrations are planned over the very MJCF file the environment loads, and an embedding is trained on them;
-`PlanSpaceObservation` then reads the joints it needs off the environment by name.
+The script plans demonstrations with the MJCF file of the environment, trains an embedding on them, and adds z
+to the observation. The wrapper finds the joints it needs by name.
 """
 
 import argparse
@@ -51,14 +51,14 @@ tolerance: 0.1
 
 
 def main() -> None:
-    """Plans, trains, and shows the environment with z."""
+    """Plan, train an embedding, and step the environment with z."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("env_id", choices=PROBLEMS)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--num", type=int, default=100, help="demonstrations")
-    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="of training")
+    parser.add_argument("--num", type=int, default=100, help="number of demonstrations")
+    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding")
     arguments = parser.parse_args()
 
     model, problem = PROBLEMS[arguments.env_id]
@@ -73,10 +73,10 @@ def main() -> None:
     env = PlanSpaceObservation(gymnasium.make(arguments.env_id), arguments.out / "embedding")
     obs, _ = env.reset(seed=0)
     before = env.unwrapped.observation_space.shape
-    print(f"{arguments.env_id}: an observation had {before[0]} numbers, with z it has {len(obs)}")
+    print(f"{arguments.env_id}: the observation has {before[0]} numbers, and {len(obs)} with z")
     env.action_space.seed(0)
     z = [env.step(env.action_space.sample())[0][-env.embedding.z_dim :] for _ in range(5)]
-    print("z, five random steps:\n", np.round(z, 3))
+    print("z in five random steps:\n", np.round(z, 3))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""A loop of one's own in JAX: policy gradient on many swing-ups at once, the policy seeing z.
+"""A training loop in JAX: policy gradient on a batch of swing-ups, with a policy that observes z.
 
     python examples/jax_loop.py EMBEDDING --iterations 100
 
-Only the policy is JAX; the environments, and the embedding before them, are NumPy and MuJoCo.
+Only the policy uses JAX. The environments and the embedding use NumPy and MuJoCo.
 """
 
 import argparse
@@ -23,20 +23,20 @@ HORIZON, DISCOUNT = 200, 0.99
 
 @eqx.filter_jit
 def act(policy: eqx.nn.MLP, obs: jax.Array, key: jax.Array) -> jax.Array:
-    """A unit Gaussian round what the network says."""
+    """Sample actions from a unit Gaussian around the output of the network."""
     mean = jax.vmap(policy)(obs)
     return mean + jr.normal(key, mean.shape)
 
 
 @eqx.filter_value_and_grad
 def loss(policy: eqx.nn.MLP, obs: jax.Array, actions: jax.Array, advantages: jax.Array) -> jax.Array:
-    """Minus the advantage-weighted log-probability of what was done [time, env]."""
+    """Minus the advantage-weighted log-probability of the actions [time, env]."""
     error = actions - jax.vmap(jax.vmap(policy))(obs)
     return jnp.mean(advantages * 0.5 * jnp.sum(error**2, axis=-1))
 
 
 def main() -> None:
-    """Trains, and prints the return of each iteration."""
+    """Train a policy and print the return of each iteration."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -57,26 +57,26 @@ def main() -> None:
     update = eqx.filter_jit(lambda p, s, *batch: step(optimiser, p, s, *batch))
     for iteration in range(arguments.iterations):
         obs, _ = env.reset(seed=iteration)
-        seen, done, paid = [], [], []
+        seen, taken, earned = [], [], []
         for action_key in jr.split(jr.fold_in(key, iteration), HORIZON):
             actions = act(policy, obs, action_key)
             seen.append(obs)
-            done.append(actions)
+            taken.append(actions)
             obs, rewards, _, _, _ = env.step(np.clip(actions, -3, 3))
-            paid.append(rewards)
-        policy, state = update(policy, state, np.stack(seen), jnp.stack(done), advantages(np.stack(paid)))
-        print(f"iteration {iteration}: return {np.sum(paid, axis=0).mean():.1f}")
+            earned.append(rewards)
+        policy, state = update(policy, state, np.stack(seen), jnp.stack(taken), advantages(np.stack(earned)))
+        print(f"iteration {iteration}: return {np.sum(earned, axis=0).mean():.1f}")
 
 
 def step(optimiser: optax.GradientTransformation, policy: eqx.nn.MLP, state, *batch):
-    """One step of the optimiser."""
+    """Do one step of the optimiser."""
     _, gradient = loss(policy, *batch)
     updates, state = optimiser.update(gradient, state)
     return eqx.apply_updates(policy, updates), state
 
 
 def advantages(rewards: np.ndarray) -> np.ndarray:
-    """Discounted return from each step on, against the other episodes' at that step [time, env]."""
+    """Discounted returns, centred over episodes at each step and scaled [time, env]."""
     returns = np.zeros_like(rewards)
     ahead = np.zeros(rewards.shape[1])
     for t in reversed(range(len(rewards))):

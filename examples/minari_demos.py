@@ -1,10 +1,10 @@
-"""Somebody's demonstrations: recorded by Minari's `DataCollector`, embedded unchanged.
+"""Demonstrations recorded by Minari's `DataCollector`, and an embedding trained on them.
 
     pip install 'planspace[minari]'
     python examples/minari_demos.py swingup/expert-v0 --episodes 50 --out embedding
 
-The expert here plays plans made at the environment's own time step; any controller, agent or person in the
-same environment will do.
+The expert in this example replays plans that were made with the environment's time step. You can use any
+controller, agent or person instead.
 """
 
 import argparse
@@ -28,7 +28,7 @@ TASK = "planspace/CartPoleSwingUp-v0"
 
 
 def problem_at_env_steps(folder: Path) -> Problem:
-    """The swing-up with the environment's time step of 0.04 s, in which a control cannot change."""
+    """The swing-up with a time step of 0.04 s, during which the environment holds the control."""
     folder.mkdir(parents=True, exist_ok=True)
     model = (ASSETS / "cartpole.xml").read_text()
     (folder / "cartpole.xml").write_text(model.replace('timestep="0.02"', 'timestep="0.04"'))
@@ -37,7 +37,7 @@ def problem_at_env_steps(folder: Path) -> Problem:
 
 
 def record(dataset_id: str, plans: planspace.Demos) -> None:
-    """Plays each plan from its own start and stores the episodes under a name in Minari."""
+    """Replay each plan from its start and store the episodes as a Minari dataset."""
     env = minari.DataCollector(gymnasium.make(TASK), record_infos=True)
     for i in range(len(plans)):
         plan = plans.episode(i)
@@ -50,23 +50,23 @@ def record(dataset_id: str, plans: planspace.Demos) -> None:
 
 
 def main() -> None:
-    """Records, and embeds what was recorded."""
+    """Record demonstrations and train an embedding on them."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("dataset_id", metavar="NAMESPACE/NAME-v0")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="of training")
+    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding")
     arguments = parser.parse_args()
     plans = arguments.out / "plans"
     generate(problem_at_env_steps(arguments.out), plans, num=arguments.episodes, seed=0)
     record(arguments.dataset_id, planspace.load_demos(plans))
 
-    demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # knows the task it was recorded from
+    demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # the recording names its task
     config = replace(PRESETS["modern"], steps=arguments.steps)
     fit(demos, arguments.out / "embedding", config=config, num_seeds=5, seed=0)
-    print(f"the same from the command line: planspace embed minari:{arguments.dataset_id} --out embedding")
+    print(f"the same on the command line: planspace embed minari:{arguments.dataset_id} --out embedding")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Plain NumPy: cross-entropy search for a linear policy that sees z, on many swing-ups at once.
+"""An agent in NumPy: cross-entropy search for a linear policy that observes z, on a batch of swing-ups.
 
     python examples/numpy_search.py EMBEDDING --iterations 40
 
-Every episode of the vector environment runs a policy of its own; the best tenth say where to look next.
+Each episode of the vector environment runs a different policy. The best tenth of the policies set the mean and
+the standard deviation of the next iteration.
 """
 
 import argparse
@@ -15,7 +16,7 @@ from planspace.envs.wrappers import PlanSpaceVectorObservation
 
 
 def main() -> None:
-    """Searches, and prints what the best policies earn."""
+    """Search, and print the mean and the best return of each iteration."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -31,17 +32,17 @@ def main() -> None:
     env = PlanSpaceVectorObservation(many, arguments.embedding)
     rng = np.random.default_rng(0)
     size = env.single_observation_space.shape[0]
-    mean, deviation = np.zeros(size), np.ones(size)
+    mean, std = np.zeros(size), np.ones(size)
     for iteration in range(arguments.iterations):
-        policies = mean + deviation * rng.standard_normal((arguments.num_envs, size))
+        policies = mean + std * rng.standard_normal((arguments.num_envs, size))
         returns = np.zeros(arguments.num_envs)
         obs, _ = env.reset(seed=iteration)
-        for _ in range(200):  # an episode of the swing-up, which never ends early
+        for _ in range(200):  # one episode of the swing-up, which never terminates early
             actions = np.sum(policies * obs, axis=1, keepdims=True)
             obs, rewards, _, _, _ = env.step(np.clip(actions, -3, 3))
             returns += rewards
         best = policies[np.argsort(returns)[-arguments.num_envs // 10 :]]
-        mean, deviation = best.mean(axis=0), best.std(axis=0) + 0.02
+        mean, std = best.mean(axis=0), best.std(axis=0) + 0.02
         print(f"iteration {iteration}: mean {returns.mean():7.1f}, best {returns.max():7.1f}")
 
 

@@ -64,9 +64,17 @@ def runs(page: Path) -> bool:
     return any(block.language in ("python", "shell", "file") for block in blocks(page))
 
 
-@pytest.mark.slow
+QUICK = ("environments.md", "howto/own-environment.md", "howto/shaping.md")
+"""Pages that run within seconds."""
+RUNNING = [
+    pytest.param(str(page), marks=() if str(page) in QUICK else pytest.mark.slow)
+    for page in PAGES
+    if runs(page)
+]
+
+
 @pytest.mark.filterwarnings("default")  # Minari warns
-@pytest.mark.parametrize("page", [str(page) for page in PAGES if runs(page)])
+@pytest.mark.parametrize("page", RUNNING)
 def test_page_runs(
     page: str,
     embedding_folder: Path,
@@ -131,6 +139,7 @@ def assert_parses(words: list[str], line: str) -> None:
         assert not stop.code, line
 
 
+@pytest.mark.slow
 def test_build_has_no_warnings(tmp_path: Path) -> None:
     for module in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(module, reason="needs the extra docs")
@@ -141,6 +150,13 @@ def test_build_has_no_warnings(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     html = (tmp_path / "html" / "how-it-works.html").read_text()
     assert "https://" not in re.sub(r'<a [^>]*href="[^"]*"', "", html)  # a page loads no remote resource
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", *(f"docs/{page}" for page in PAGES)])
+def test_link_targets_exist(page: str) -> None:
+    text = re.sub(r"^```.*?^```$", "", (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL)
+    targets = re.findall(r"\]\((?!https?:)([^)#\s]+)", text)
+    assert [t for t in targets if not ((ROOT / page).parent / t).exists()] == []
 
 
 @contextmanager
