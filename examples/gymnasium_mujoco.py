@@ -58,7 +58,9 @@ def main() -> None:
     parser.add_argument("env_id", choices=PROBLEMS)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--num", type=int, default=100, help="number of demonstrations")
-    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding")
+    parser.add_argument(
+        "--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding"
+    )
     arguments = parser.parse_args()
 
     model, problem = PROBLEMS[arguments.env_id]

@@ -57,7 +57,9 @@ def main() -> None:
     parser.add_argument("dataset_id", metavar="NAMESPACE/NAME-v0")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding")
+    parser.add_argument(
+        "--steps", type=int, default=PRESETS["modern"].steps, help="training steps of the embedding"
+    )
     arguments = parser.parse_args()
     plans = arguments.out / "plans"
     generate(problem_at_env_steps(arguments.out), plans, num=arguments.episodes, seed=0)

@@ -2,8 +2,8 @@
 
     python examples/numpy_search.py EMBEDDING --iterations 40
 
-Each episode of the vector environment runs a different policy. The best tenth of the policies set the mean and
-the standard deviation of the next iteration.
+Each episode of the vector environment runs a different policy. The best tenth of the policies set the mean
+and the standard deviation of the next iteration.
 """
 
 import argparse
