@@ -120,11 +120,11 @@ def test_repair_says_what_it_found(
     demo_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = shutil.copytree(demo_folder, tmp_path / "demos")
-    assert call(capsys, "repair", folder) == (0, f"nothing in {folder} is damaged.\n", "")
+    assert call(capsys, "repair", folder) == (0, f"No file in {folder} is damaged.\n", "")
     (folder / "shard-00001.safetensors").write_bytes(b"")
     code, out, _ = call(capsys, "repair", folder)
     assert code == 0 and "shard-00001.safetensors was altered or damaged" in out
-    assert "The command that made them, run again" in out
+    assert "Run the command that made them again" in out
     assert call(capsys, "demos", "validate", folder)[0] == 0
 
 

@@ -195,5 +195,5 @@ def test_a_log_keeps_the_lines_that_can_be_read(tmp_path: Path) -> None:
 
 
 def test_what_is_no_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PlanspaceError, match="there is no folder .*nowhere"):
+    with pytest.raises(PlanspaceError, match="the folder .*nowhere does not exist"):
         repair(tmp_path / "nowhere")
