@@ -29,7 +29,8 @@ from planspace.envs.wrappers import (
     PlanSpaceVectorObservation,
     PlanSpaceVectorShaping,
 )
-from planspace.tasks.task import Task, find_task
+from planspace.tasks.catalog import find_task
+from planspace.tasks.task import Task
 
 SECONDS = 1.0
 """About how long each measurement takes."""

@@ -59,7 +59,7 @@ def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
     """What reads a file of these bytes, and files to begin with."""
     from planspace.demos.folder import load_demos
     from planspace.embed.embedding import load_embedding
-    from planspace.mjcf.compile import ASSETS
+    from planspace.mjcf.assets import ASSETS
     from planspace.mjcf.read import read_model
     from planspace.rl.saved_policy import load_policy
     from planspace.tasks.problem_file import load_problem

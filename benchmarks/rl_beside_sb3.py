@@ -25,7 +25,7 @@ from planspace.rl.learning_curve import learning_curve
 from planspace.rl.train import train
 from planspace.storage.files import write_bytes
 from planspace.storage.json_files import read_json
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 TASK, OBS = TASKS["cartpole-swingup"], "trig"

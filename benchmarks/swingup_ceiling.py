@@ -22,8 +22,8 @@ from planspace.plan.regulator import Regulator
 from planspace.progress import progress
 from planspace.rl.saved_policy import Policy, load_policy
 from planspace.rl.train import EVALUATION_SEED, num_episodes
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.task import find_task
 
 TASK = find_task("cartpole-swingup")
 STARTS, TARGETS = TASK.sample_starts(num_episodes(TASK), np.random.default_rng(EVALUATION_SEED))

@@ -11,7 +11,9 @@ import argparse
 import numpy as np
 
 from planspace.envs.batch import TaskBatch
-from planspace.tasks.task import TASKS, RewardType, Task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.observation_types import RewardType
+from planspace.tasks.task import Task
 
 POLICIES = ("idle", "noise", "random")
 

@@ -33,7 +33,7 @@ from planspace.envs.batch import TaskBatch
 from planspace.physics.simulator import Simulator
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 from planspace.workers import count_cores
 
 TASK = TASKS["cartpole-swingup"]

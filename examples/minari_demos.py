@@ -19,7 +19,7 @@ import numpy as np
 import planspace
 from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
-from planspace.mjcf.compile import ASSETS
+from planspace.mjcf.assets import ASSETS
 from planspace.plan.generate import generate
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem

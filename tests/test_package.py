@@ -50,11 +50,15 @@ def test_nothing_is_pickled() -> None:
         assert "allow_pickle=True" not in file.read_text()
 
 
-def test_gymnasium_names_are_those_of_the_tasks() -> None:
-    from planspace.envs import ENVIRONMENTS
-    from planspace.tasks.task import TASKS
+def test_every_shipped_task_is_registered_with_gymnasium() -> None:
+    import gymnasium
 
-    assert {task.env_id: (task.name, task.horizon) for task in TASKS.values()} == ENVIRONMENTS
+    from planspace.tasks.catalog import shipped_tasks
+
+    assert shipped_tasks()
+    for task in shipped_tasks().values():
+        spec = gymnasium.spec(task.env_id)
+        assert (spec.kwargs, spec.max_episode_steps) == ({"task": task.name}, task.horizon)
 
 
 def test_every_public_name_is_imported_on_first_use() -> None:

@@ -4,7 +4,7 @@ import pytest
 from planspace.demos.dataset import Episode, StateInfo
 from planspace.demos.recording import recorded
 from planspace.demos.resample import common_step, resample, with_continuous_angles
-from planspace.mjcf.compile import ASSETS
+from planspace.mjcf.assets import ASSETS
 
 MJCF = (ASSETS / "cartpole.xml").read_text()
 INFO = StateInfo(("x",), ("",), (), 1)

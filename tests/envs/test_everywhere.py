@@ -13,7 +13,8 @@ from gymnasium.utils.env_checker import check_env
 
 from planspace.embed.embedding import Embedding, Inputs
 from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
-from planspace.tasks.task import TASKS, Task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.task import Task
 
 NAMED_WARNINGS = (
     "symmetric and normalized",  # both checkers, of an action range other than -1 to 1

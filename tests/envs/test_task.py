@@ -5,9 +5,10 @@ import pytest
 import planspace
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
+from planspace.tasks.catalog import TASKS, find_task
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.rewards import fingertip
-from planspace.tasks.task import TASKS, Task, find_task
+from planspace.tasks.reacher import fingertip
+from planspace.tasks.task import Task
 
 IDS = [task.env_id for task in TASKS.values()]
 
@@ -54,9 +55,7 @@ def test_2020_pushed_without_limit_and_charged_for_it() -> None:
     assert states[3][2] > 1.9 * states[0][2]
     assert rewards[0] == rewards[1] == rewards[2]
     assert rewards[3] - rewards[0] == pytest.approx(-0.1 * (36 - 9), abs=0.1)
-    with pytest.raises(
-        UsageError, match="unknown form of reward of reacher-raw '2020'.*Known: dense, sparse"
-    ):
+    with pytest.raises(UsageError, match="unknown reward type of reacher-raw '2020'.*Known: dense, sparse"):
         gymnasium.make("planspace/ReacherRaw-v0", reward="2020")
 
 

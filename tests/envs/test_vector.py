@@ -9,9 +9,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from planspace.envs.vector import TaskVectorEnv
 from planspace.errors import UsageError
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 
 IDS = [task.env_id for task in TASKS.values()]
+BALANCE, SWING_UP = "planspace/CartPole-v0", "planspace/CartPoleSwingUp-v0"
 MODES = list(AutoresetMode)
 
 
@@ -69,7 +70,7 @@ def test_bit_by_bit_what_single_environments_do(env_id: str, mode: AutoresetMode
 
 @pytest.mark.parametrize("obs", ["raw", "wrapped", "trig"])
 def test_every_form_of_observation(obs: str) -> None:
-    ours, theirs = make(IDS[1], obs=obs), one_by_one(IDS[1], 5, MODES[0], obs=obs)
+    ours, theirs = make(SWING_UP, obs=obs), one_by_one(SWING_UP, 5, MODES[0], obs=obs)
     state = {"state": [0.1, 7.0, 0.2, 0.3]}
     assert np.array_equal(ours.reset(options=dict(state))[0], theirs.reset(options=dict(state))[0])
     seen = dict(zip(ours.obs_fields, ours.reset(options=state)[0][0], strict=True))
@@ -81,7 +82,7 @@ def test_every_form_of_observation(obs: str) -> None:
 def test_threads_change_nothing() -> None:
     runs = []
     for threads in (1, 2, 3):
-        env = make(IDS[1], num_envs=16, threads=threads)
+        env = make(SWING_UP, num_envs=16, threads=threads)
         env.reset(seed=0)
         env.action_space.seed(0)
         for _ in range(50):
@@ -91,7 +92,7 @@ def test_threads_change_nothing() -> None:
 
 
 def test_an_episode_does_not_depend_on_those_beside_it() -> None:
-    many, few = make(IDS[0], num_envs=8), make(IDS[0], num_envs=3)
+    many, few = make(BALANCE, num_envs=8), make(BALANCE, num_envs=3)
     many.reset(seed=5)
     few.reset(seed=5)
     for _ in range(60):  # balancing ends early, so that streams are drawn from again
@@ -102,7 +103,7 @@ def test_an_episode_does_not_depend_on_those_beside_it() -> None:
 
 
 def test_starts_at_given_states_one_for_all_or_one_for_each() -> None:
-    env = make(IDS[1], num_envs=3)
+    env = make(SWING_UP, num_envs=3)
     _, info = env.reset(options={"state": [0.1, 0.5, 0.0, 0.0]})
     assert np.array_equal(info["state"], [[0.1, 0.5, 0.0, 0.0]] * 3)
     each = np.arange(12.0).reshape(3, 4) / 10
@@ -113,7 +114,7 @@ def test_starts_at_given_states_one_for_all_or_one_for_each() -> None:
 
 
 def test_a_seed_for_each_and_none_goes_on() -> None:
-    env = make(IDS[1], num_envs=2)
+    env = make(SWING_UP, num_envs=2)
     env.reset(seed=[3, 4])
     second = env.reset()[0]
     env.reset(seed=[3, 4])
@@ -123,7 +124,7 @@ def test_a_seed_for_each_and_none_goes_on() -> None:
 
 @pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
 def test_divergence_truncates_its_episode_alone(mode: AutoresetMode) -> None:
-    env = make(IDS[1], num_envs=3, autoreset_mode=mode)
+    env = make(SWING_UP, num_envs=3, autoreset_mode=mode)
     states = np.zeros((3, 4))
     states[1] = [0.0, 1.0, 1e9, 1e9]
     env.reset(seed=0, options={"state": states})
@@ -147,7 +148,7 @@ def test_the_spec_pickle_and_copies() -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    env = make(IDS[1], num_envs=2)
+    env = make(SWING_UP, num_envs=2)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.zeros((2, 1)))
     env.reset(seed=3)
@@ -163,7 +164,7 @@ def test_what_does_not_fit_is_refused() -> None:
         env.reset(options={"state": [0.0, np.inf, 0.0, 0.0]})
     with pytest.raises(UsageError, match="reset_mask must be 2 truth values"):
         env.reset(options={"reset_mask": np.zeros(2, dtype=bool)})
-    disabled = make(IDS[1], num_envs=2, autoreset_mode="Disabled", max_episode_steps=1)
+    disabled = make(SWING_UP, num_envs=2, autoreset_mode="Disabled", max_episode_steps=1)
     disabled.reset(seed=0)
     disabled.step(np.zeros((2, 1)))
     with pytest.raises(UsageError, match=r"episodes \[0, 1\] have ended: reset them first"):
@@ -173,7 +174,7 @@ def test_what_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"obs": "cooked"}, "unknown form of observation 'cooked'"),
+        ({"obs": "cooked"}, "unknown observation type 'cooked'"),
         ({"render_mode": "human"}, "unknown render mode 'human'"),
         ({"autoreset_mode": "Never"}, "unknown autoreset mode 'Never'"),
         ({"num_envs": 0}, "num_envs must be 1 or more"),
@@ -185,10 +186,10 @@ def test_arguments_are_checked_at_construction(kwargs: dict[str, Any], message: 
 
 
 def test_no_limit_is_no_limit() -> None:
-    env = make(IDS[1], num_envs=2, max_episode_steps=-1)
+    env = make(SWING_UP, num_envs=2, max_episode_steps=-1)
     env.reset(seed=0)
     for _ in range(205):
         assert not env.step(np.zeros((2, 1)))[3].any()
     for wrong in (0, -2):
         with pytest.raises(UsageError, match="max_episode_steps is 1 or more, or -1 for no limit"):
-            make(IDS[1], max_episode_steps=wrong)
+            make(SWING_UP, max_episode_steps=wrong)

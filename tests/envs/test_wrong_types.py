@@ -30,8 +30,8 @@ print(json.dumps(told))
 """
 
 CASES = {
-    "make(reward=2020)": "UsageError: unknown form of reward of cartpole-swingup 2020.",
-    "make(obs=None)": "UsageError: unknown form of observation None.",
+    "make(reward=2020)": "UsageError: unknown reward type of cartpole-swingup 2020.",
+    "make(obs=None)": "UsageError: unknown observation type None.",
     "many(autoreset_mode=None)": "UsageError: unknown autoreset mode None.",
     "show(mode=None)": "UsageError: unknown mode None.",
     "show(columns=[0.0, 1.0, 2.0, 3.0])": "UsageError: columns are whole numbers, got [0.0, 1.0, 2.0, 3.0].",

@@ -10,7 +10,7 @@ from planspace.mjcf.compile import load_model
 from planspace.physics.replay import advance, replay
 from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import StateSpace
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 
 RELEASED_TOLERANCE = 1e-3
 RELEASED_STEPS = 50

@@ -5,8 +5,8 @@ import pytest
 from planspace.errors import UsageError
 from planspace.mjcf.compile import load_model
 from planspace.physics.space import StateSpace
+from planspace.tasks.catalog import TASKS
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.task import TASKS
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.mjcf.compile import ASSETS
+from planspace.mjcf.assets import ASSETS
 from planspace.physics.simulator import Simulator
 from planspace.plan.generate import generate
 from planspace.plan.planner import PlannerConfig

@@ -21,9 +21,10 @@ from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
 from planspace.rl.rollout import Rollout
 from planspace.storage.arrays import read_arrays
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.task import Task, find_task
+from planspace.tasks.task import Task
 
 LONG_STEP_S = 1e6
 

@@ -28,7 +28,7 @@ from planspace.demos.minari import write_minari
 from planspace.embed.embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
-from planspace.mjcf.compile import ASSETS
+from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.read import read_model
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy

@@ -13,8 +13,8 @@ from planspace.envs.batch import TaskBatch
 from planspace.rl import train as module
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
 from planspace.rl.observe import Observer
-from planspace.tasks.rewards import never
-from planspace.tasks.task import TASKS, Task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.task import Task, never
 
 ARMS: list[tuple[Algo, RLPreset]] = [
     ("trpo", "paper"),

@@ -13,7 +13,7 @@ from planspace.errors import UsageError
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.shaping import Shaping
 from planspace.rl.train import train
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 
 CONFIG = TrainConfig(
     "cartpole-swingup", obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS
@@ -131,6 +131,6 @@ def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> N
         train(replace(CONFIG, shaping="none"), tmp_path / "c", [embedding])
     with pytest.raises(UsageError, match=r"the scale of the shaping is above 0, got 0\.0"):
         replace(CONFIG, shaping_scale=0.0)
-    with pytest.raises(UsageError, match="unknown form of reward of cartpole '2020'"):
+    with pytest.raises(UsageError, match="unknown reward type of cartpole '2020'"):
         train(TrainConfig("cartpole", reward="2020"), tmp_path / "d")
     assert not any((tmp_path / name).exists() for name in "abcd")

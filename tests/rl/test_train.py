@@ -29,7 +29,8 @@ from planspace.rl.rollout import Actor, Rollout, collect, episode_returns, first
 from planspace.rl.train import train
 from planspace.storage.arrays import read_arrays_and_metadata
 from planspace.storage.checkpoint import FILE
-from planspace.tasks.task import TASKS, Task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.task import Task
 
 SWING_UP = TrainConfig("cartpole-swingup", num_seeds=2, steps=3 * BATCH_STEPS)
 
@@ -44,7 +45,7 @@ def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout
     observer = Observer(task, "raw", "none", "both")
     batch = TaskBatch(task, num_envs * len(seeds))
     rngs = [np.random.default_rng(s) for s in seeds]
-    return collect(batch, observer, fixed_actor(len(seeds), len(task.obs_fields)), num_steps, rngs)
+    return collect(batch, observer, fixed_actor(len(seeds), len(task.fields("raw"))), num_steps, rngs)
 
 
 def test_a_seeds_episodes_do_not_depend_on_those_beside_it() -> None:

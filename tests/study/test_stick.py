@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.mjcf.compile import ASSETS
 from planspace.study.stick_figure import FRAMES, stick_film
-from planspace.tasks.task import TASKS
+from planspace.tasks.catalog import TASKS
 
 
 def episode(task_name: str, states: np.ndarray) -> Demos:
     task = TASKS[task_name]
     model, space = task.compile()
-    mjcf = (ASSETS / task.model).read_text()
+    mjcf = task.mjcf
     info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf)
     times = 0.04 * np.arange(len(states))
     controls = np.zeros((len(states) - 1, model.nu))

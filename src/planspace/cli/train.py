@@ -76,7 +76,7 @@ class Train:
         from planspace.rl.learning_curve import learning_curve
         from planspace.rl.train import num_episodes, train
         from planspace.storage.compiled import use_compilation_cache
-        from planspace.tasks.task import TASKS, find_task
+        from planspace.tasks.catalog import TASKS, find_task
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")

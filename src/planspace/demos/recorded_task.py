@@ -11,9 +11,9 @@ from jaxtyping import Float
 from planspace.demos.dataset import StateInfo
 from planspace.demos.observations import flat
 from planspace.errors import PlanspaceError, UsageError
-from planspace.mjcf.compile import ASSETS
+from planspace.tasks.catalog import TASKS
 from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType
-from planspace.tasks.task import TASKS, Task
+from planspace.tasks.task import Task
 
 STATE_KEY = "state"
 """Where the tasks put the planning state in `info`."""
@@ -85,7 +85,7 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
     if form is None or not isinstance(wrappers, list) or not all(isinstance(w, dict) for w in wrappers):
         raise PlanspaceError(f"the environment's spec in the metadata of {dataset_id!r} is damaged.")
     model, space = task.compile()
-    mjcf = (ASSETS / task.model).read_text()
+    mjcf = task.mjcf
     foreign = [str(w.get("name")) for w in wrappers if w.get("name") not in OURS]
     notices = []
     if foreign:

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.physics.simulator import Simulator
+from planspace.tasks.check_task import check_task
 from planspace.tasks.observation_types import RewardType
 from planspace.tasks.task import Task
 
@@ -16,12 +17,13 @@ class TaskBatch:
         """Starts the simulations; `reset` starts the episodes.
 
         Args:
-            task: the task.
+            task: the task; one that does not fit its model is refused (see `check_task`).
             num: how many episodes run side by side.
             threads: physics threads; 0 takes all CPUs. Results do not depend on it.
             reward: the form of reward. With that of 2020 controls have no limit, as in 2020.
         """
         model, space = task.compile()
+        check_task(task, model, space)
         if reward == "2020":
             model.actuator_ctrllimited[:] = False
         self.task = task
@@ -29,8 +31,8 @@ class TaskBatch:
         self.simulator = Simulator(model, space, num, threads=threads)
         self.states = np.zeros((num, space.size))
         """The state of each episode [env, state]."""
-        self.targets = np.zeros((num, 2 if task.has_target else 0))
-        """The target of each episode [env, 2 or 0]."""
+        self.targets = np.zeros((num, task.target_size))
+        """The target of each episode [env, target]; no columns for a task without targets."""
 
     def reset(
         self,
@@ -66,7 +68,8 @@ class TaskBatch:
     def mujoco_data(self, episode: int) -> mujoco.MjData:
         """One episode as it is now, everything computed, the target where it is."""
         data = self.simulator.mujoco_data(episode)
-        if self.task.has_target:
-            data.mocap_pos[0, :2] = self.targets[episode]
+        size = min(self.task.target_size, 3)
+        if size and self.simulator.model.nmocap:
+            data.mocap_pos[0, :size] = self.targets[episode, :size]
             mujoco.mj_forward(self.simulator.model, data)
         return data

@@ -11,8 +11,9 @@ from planspace.envs.batch import TaskBatch
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
 from planspace.physics.space import StateSpace
-from planspace.tasks.observation_types import ObservationType
-from planspace.tasks.task import Task, find_observation_type, find_reward_type, find_task
+from planspace.tasks.catalog import find_task
+from planspace.tasks.observation_types import ObservationType, find_observation_type
+from planspace.tasks.task import Task, find_reward_type
 
 
 class Described:
@@ -49,11 +50,17 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  Gymnasium's way
 
-    def __init__(self, task: str, obs: str = "raw", reward: str = "dense", render_mode: str | None = None):
+    def __init__(
+        self,
+        task: str | Task,
+        obs: str = "raw",
+        reward: str = "dense",
+        render_mode: str | None = None,
+    ):
         """Makes the environment; `gymnasium.make` calls this.
 
         Args:
-            task: the task's command-line name.
+            task: the task's name, or a task of your own.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
             reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
                 what that study paid, mistakes and all, and forces without limit.

@@ -20,7 +20,9 @@ from planspace.envs.task import (
     spaces_of,
 )
 from planspace.errors import UsageError, unknown
-from planspace.tasks.task import find_observation_type, find_reward_type, find_task
+from planspace.tasks.catalog import find_task
+from planspace.tasks.observation_types import find_observation_type
+from planspace.tasks.task import Task, find_reward_type
 
 MODES = tuple(mode.value for mode in AutoresetMode)
 
@@ -40,7 +42,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
 
     def __init__(  # noqa: PLR0913  Gymnasium gives them one by one
         self,
-        task: str,
+        task: str | Task,
         num_envs: int = 1,
         obs: str = "raw",
         reward: str = "dense",
@@ -52,7 +54,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         """Makes the environment; `gymnasium.make_vec` calls this.
 
         Args:
-            task: the task's command-line name.
+            task: the task's name, or a task of your own.
             num_envs: how many episodes run side by side.
             obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
             reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):

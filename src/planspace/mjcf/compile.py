@@ -3,15 +3,11 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import mujoco
 
 from planspace.errors import PlanspaceError, unknown
 from planspace.mjcf.model_check import check_self_contained
-
-ASSETS = Path(__file__).parent.parent / "assets"
-"""The shipped models and problem files."""
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
 """What MuJoCo raises at a model that it does not take."""

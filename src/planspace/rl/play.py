@@ -6,9 +6,8 @@ from jaxtyping import Float
 
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.envs.wrappers import PlanSpaceObservation
-from planspace.mjcf.compile import ASSETS
 from planspace.rl.saved_policy import Policy
-from planspace.tasks.task import find_task
+from planspace.tasks.catalog import find_task
 
 
 def make_env(policy: Policy) -> gymnasium.Env:
@@ -56,6 +55,6 @@ def play(policy: Policy, num: int, seed: int) -> tuple[Float[np.ndarray, " episo
         episodes.append(
             Episode(np.stack(states), np.stack(actions).astype(float), times, goal, False, i, seed + i)
         )
-    mjcf = (ASSETS / task.model).read_text()
+    mjcf = task.mjcf
     info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf)
     return returns, Demos.from_episodes(info, episodes)

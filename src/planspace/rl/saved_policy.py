@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from planspace.envs import ENVIRONMENTS
 from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.rl.config import ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
@@ -21,6 +20,7 @@ from planspace.rl.stack import Stack
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
+from planspace.tasks.catalog import TASKS
 from planspace.tasks.observation_types import OBSERVATION_TYPES, RewardType
 
 SCHEMA = 1
@@ -155,7 +155,8 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
 def _check_about(file: Path, about: dict[str, Any]) -> None:
     """Sees that it names nothing but what is ours: Gymnasium would import code for an environment's name."""
     task, env_id = about["task"], about["env_id"]
-    if env_id not in ENVIRONMENTS or ENVIRONMENTS[env_id][0] != task:
+    known = TASKS.get(task) if isinstance(task, str) else None
+    if known is None or known.env_id != env_id:
         raise PlanspaceError(
             f"{file} names the environment {quoted(env_id)} for the task {quoted(task)}; planspace has none "
             "such for it. Train the policy anew with `planspace train`, or upgrade planspace."

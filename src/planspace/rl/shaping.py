@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.task import Task, find_task
+from planspace.tasks.task import Task
 
 NUM_STARTS = 1000
 """d_0 is a mean over so many starts."""
@@ -96,7 +97,7 @@ class Shaping:
 
 def _goal(task: Task) -> Float[np.ndarray, " state"]:
     """The state a task is to come to: that of the planning problem that suits it."""
-    if task.has_target:
+    if task.target_size:
         raise UsageError(f"shaping needs one goal; {task.name} has another target in every episode.")
     goal = load_problem(task.problem).goal
     return (np.array(goal.low) + np.array(goal.high)) / 2

@@ -39,7 +39,8 @@ from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import open_run
 from planspace.storage.tracking import TrackerName, open_trackers
-from planspace.tasks.task import Task, find_reward_type, find_task
+from planspace.tasks.catalog import find_task
+from planspace.tasks.task import Task, find_reward_type
 from planspace.workers import count_cores
 
 CHECKPOINT_EVERY = 10

@@ -6,7 +6,7 @@ from dataclasses import replace
 from planspace.embed.config import PRESETS, ObjectiveName
 from planspace.embed.embedding import InputType
 from planspace.rl.config import Algo, ShapingType, TrainConfig
-from planspace.study.design import BLOCK, PROBLEMS, Arm, Builder, Claim, Study, panel_of
+from planspace.study.design import BLOCK, Arm, Builder, Claim, Study, panel_of
 from planspace.study.paper import RAW
 from planspace.study.unit import PlansUnit
 from planspace.tasks.observation_types import RewardType
@@ -52,7 +52,7 @@ def controls(budget: str, grid: Builder) -> Study:
 
 
 def _control_arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
-    panel, plans, base = panel_of(task, algo), grid.plans(PROBLEMS[task]), TrainConfig(task, algo)
+    panel, plans, base = panel_of(task, algo), grid.plans_for(task), TrainConfig(task, algo)
     augment, fits = replace(base, z="augment"), grid.fits(plans, PRESETS["modern"])
     yield grid.arm(panel, RAW, base)
     yield grid.arm(panel, TRIG, replace(base, obs="trig"))
@@ -166,7 +166,7 @@ def shaping(budget: str, grid: Builder) -> Study:
 
 
 def _shaping_arms(panel: str, reward: RewardType, grid: Builder) -> Iterator[Arm]:
-    fits = grid.fits(grid.plans(PROBLEMS[SWING_UP]), PRESETS["modern"])
+    fits = grid.fits(grid.plans_for(SWING_UP), PRESETS["modern"])
     plain = TrainConfig(SWING_UP, obs="trig", reward=reward)
     for label, form in SHAPINGS.items():
         shaped = replace(plain, shaping=form, shaping_scale=SHAPING_SCALE)
@@ -185,7 +185,7 @@ RECIPE_SEED, RECIPE_FIT_SEED = 200, 10
 
 def recipe(budget: str, grid: Builder) -> Study:
     """The best that was found for the swing-up, beside raw, sin and cos, and a random encoder."""
-    panel, plans = panel_of(SWING_UP, "trpo"), grid.plans(PROBLEMS[SWING_UP])
+    panel, plans = panel_of(SWING_UP, "trpo"), grid.plans_for(SWING_UP)
     raw = TrainConfig(SWING_UP, preset="modern")
     trig, trig_z = replace(raw, obs="trig"), replace(raw, obs="trig", z="augment")
     unseen = replace(grid, seed=RECIPE_SEED)

@@ -9,6 +9,7 @@ from planspace.embed.config import FitConfig
 from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.tasks.catalog import find_task
 
 Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
 SPREADS: tuple[Measure, ...] = ("spread", "early_spread")
@@ -16,14 +17,6 @@ Expectation = Literal["more", "less", "same"]
 
 BLOCK = 5
 """Seeds of a unit; the units of an arm merge, so 15 seeds become 50 without running the first 15 again."""
-
-PROBLEMS = {
-    "cartpole": "cartpole-swingup",
-    "cartpole-swingup": "cartpole-swingup",
-    "reacher-trig": "reacher",
-    "reacher-raw": "reacher",
-}
-"""Each task's system: the planning problem whose demonstrations train its embedding."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +163,11 @@ class Builder:
         blocks = ((start, min(BLOCK, self.seed + num - start)) for start in starts)
         configs = (replace(config, steps=self.budget.steps, seed=s, num_seeds=n) for s, n in blocks)
         return Arm(panel, label, tuple(PolicyUnit(c, fits) for c in configs))
+
+    def plans_for(self, task_name: str) -> PlansUnit:
+        """The demonstrations that train a task's embeddings."""
+        task = find_task(task_name)
+        return self.plans(str(task.embedding_problem or task.problem))
 
     def plans(self, problem: str, num: int = 0, **settings: int | float) -> PlansUnit:
         """Demonstrations, as many as the budget has or `num`, if that is fewer."""

@@ -5,15 +5,20 @@ from dataclasses import replace
 
 from planspace.embed.config import PRESETS
 from planspace.rl.config import Algo, TrainConfig
-from planspace.study.design import PROBLEMS, Arm, Builder, Claim, Measure, Study, panel_of
+from planspace.study.design import Arm, Builder, Claim, Measure, Study, panel_of
+from planspace.tasks.catalog import TASKS
 
 RAW, LOW_Z, HIGH_Z = "raw", "low-Z augment", "high-Z augment"
 ONLY_LOW_Z, ONLY_HIGH_Z = "low-Z only", "high-Z only"
 LOW_DIM, HIGH_DIM = 3, 10
 ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
 PAPER_STEPS = 8_000_000
-NEAR = {"cartpole": 5.0, "cartpole-swingup": 50.0, "reacher-trig": 1.0, "reacher-raw": 1.0}
-"""Returns that differ by less are called even: about a tenth of what a task's levels lie apart."""
+TASK_NAMES = tuple(
+    task.name
+    for task in sorted(TASKS.values(), key=lambda task: task.paper_order or 0)
+    if task.paper_order is not None
+)
+"""The paper's tasks, in its order."""
 
 
 def paper(budget: str, grid: Builder) -> Study:
@@ -22,7 +27,7 @@ def paper(budget: str, grid: Builder) -> Study:
         "paper",
         budget,
         "What did the paper find, and does it hold?",
-        tuple(arm for algo in ALGOS for task in PROBLEMS for arm in _arms(task, algo, grid)),
+        tuple(arm for algo in ALGOS for task in TASK_NAMES for arm in _arms(task, algo, grid)),
         (*_swing_up_claims(), *_cartpole_claims(), *_reacher_claims(), *_algorithm_claims()),
         tuple(_notes(grid.budget.steps)),
     )
@@ -42,7 +47,7 @@ def _notes(steps: int) -> Iterator[str]:
 
 
 def _arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
-    panel, plans = panel_of(task, algo), grid.plans(PROBLEMS[task])
+    panel, plans = panel_of(task, algo), grid.plans_for(task)
     low, high = (
         grid.fit(plans, PRESETS["paper"].changed(z_dim=z_dim), num_seeds=grid.budget.embeddings)
         for z_dim in (LOW_DIM, HIGH_DIM)
@@ -131,7 +136,7 @@ class _Judge:
     """Claims about arms of one task and algorithm against observing it raw."""
 
     def __init__(self, task: str, algo: str):
-        self.panel, self.near = panel_of(task, algo), NEAR[task]
+        self.panel, self.near = panel_of(task, algo), TASKS[task].similar_return or 0.0
 
     def more(self, text: str, measure: Measure, arm: str) -> Claim:
         return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}")

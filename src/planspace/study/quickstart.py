@@ -24,8 +24,8 @@ from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.json_files import read_json, write_json
 from planspace.storage.runs import open_run
 from planspace.study.quickstart_report import FINAL_ITERATIONS, GEOMETRY_ROWS, write_report
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.task import find_task
 
 BudgetName = Literal["smoke", "small", "full"]
 NEAR_GOAL = 0.5
@@ -149,7 +149,7 @@ def _arms(task_name: str, budget: Budget, seed: int) -> list[tuple[str, str, Tra
     """Label, folder and settings of each arm; `trig` is left out where the task observes it already."""
     base = TrainConfig(task=task_name, num_seeds=budget.seeds, seed=seed, steps=budget.steps)
     raw = ("raw", "raw", base)
-    if not find_task(task_name).trig_columns:
+    if not find_task(task_name).sin_cos_columns:
         return [raw, ("raw + z", "raw-z", replace(base, z="augment"))]
     return [
         raw,

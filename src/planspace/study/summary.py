@@ -17,18 +17,7 @@ from planspace.study.eta import Pace
 from planspace.study.execute import is_done, read_result
 from planspace.study.stats import Scores, Verdict
 from planspace.study.unit import FitUnit, PlansUnit, Unit
-
-LEVELS = {
-    "cartpole": (0.0, 100.0),
-    "cartpole-swingup": (-600.0, 100.0),
-    "reacher-trig": (-14.0, -6.0),
-    "reacher-raw": (-14.0, -6.0),
-}
-"""Returns that count as 0 and as 1 where tasks are put together: the paper's levels of doing nothing and of
-having solved it."""
-SOLVED = {"cartpole": 95.0, "cartpole-swingup": 0.0, "reacher-trig": -6.0, "reacher-raw": -6.0}
-"""A seed has solved its task when it reached more than this: the paper's levels, and on the swing-up a pole
-that stands."""
+from planspace.tasks.catalog import find_task
 
 
 @dataclass(frozen=True)
@@ -118,7 +107,7 @@ def _row(findings: Findings, arm: Arm, first: Arm) -> dict[str, Any]:
     scores, base = findings.scores[arm.name], findings.scores[first.name]
     x = stats.final(scores)
     config = arm.units[0].config
-    solved = SOLVED.get(config.task) if config.reward == "dense" else None
+    solved = find_task(config.task).solved_return if config.reward == "dense" else None
     improved = stats.probability_of_improvement(x, stats.final(base))
     return {
         "arm": arm.label,
@@ -148,8 +137,9 @@ def _over_tasks(findings: Findings) -> list[dict[str, Any]]:
     found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for arm in findings.study.arms:
         config = arm.units[0].config
-        if arm.name in findings.scores and config.reward == "dense":
-            low, high = LEVELS[config.task]
+        levels = find_task(config.task).return_range
+        if arm.name in findings.scores and config.reward == "dense" and levels is not None:
+            low, high = levels
             normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
             found.setdefault((config.algo.upper(), arm.label), {})[arm.task] = normalised
     rows = []

@@ -13,7 +13,8 @@ import numpy as np
 import yaml
 
 from planspace.errors import PlanspaceError, UsageError, unknown
-from planspace.mjcf.compile import ASSETS, GeomPairs, load_model
+from planspace.mjcf.assets import ASSETS
+from planspace.mjcf.compile import GeomPairs, load_model
 from planspace.mjcf.read import read_model
 from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.simulator import Simulator, control_bounds
@@ -53,26 +54,29 @@ def shipped_problems() -> list[str]:
     return sorted(path.stem for path in ASSETS.glob("*.yaml"))
 
 
-def load_problem(name_or_file: str, *, untrusted: bool = False) -> Problem:
-    """Reads a shipped problem by name, or a problem file; the layout of 2020 is understood too.
+def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> Problem:
+    """Return a shipped problem, or read a problem file; the file layout of 2020 is read too.
 
     Args:
-        name_or_file: a name of `shipped_problems()`, or the path of a YAML file; a model named in a file
-            is looked for beside it.
-        untrusted: whether the model of a file comes from strangers: it is read in a process of its own, in
+        problem: a name in `shipped_problems()`, the path of a YAML file, or a problem, which is returned as
+            it is. A model that the file names must lie in the file's folder.
+        untrusted: whether the file comes from strangers: its model is then read in a separate process, in
             bounded memory and time.
 
     Raises:
-        UsageError: no such problem (the nearest name is suggested), or an unknown key.
-        PlanspaceError: the file, or the model it names, cannot be read or does not fit.
+        UsageError: no problem has this name (the nearest one is suggested), or a key is unknown.
+        PlanspaceError: the file or its model cannot be read, or they do not fit each other.
     """
-    if name_or_file in shipped_problems():
-        return _read_problem(ASSETS / f"{name_or_file}.yaml")
-    if name_or_file.endswith((".yaml", ".yml")):
-        return _read_problem(Path(name_or_file), read_model_in_subprocess if untrusted else read_model)
-    if Path(name_or_file).is_file():
-        raise UsageError(f"{name_or_file} is no problem file: its name should end in .yaml.")
-    raise unknown("problem", name_or_file, shipped_problems())
+    if isinstance(problem, Problem):
+        return problem
+    name = str(problem)
+    if name in shipped_problems():
+        return _read_problem(ASSETS / f"{name}.yaml")
+    if name.endswith((".yaml", ".yml")):
+        return _read_problem(Path(name), read_model_in_subprocess if untrusted else read_model)
+    if Path(name).is_file():
+        raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
+    raise unknown("problem", name, shipped_problems())
 
 
 def _read_problem(path: Path, read: ReadModel = read_model) -> Problem:

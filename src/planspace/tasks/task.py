@@ -1,393 +1,291 @@
-"""The reinforcement learning tasks, as data: what starts, what is observed, what is rewarded, what ends.
+"""Reinforcement learning tasks as data: where episodes start, what is observed, rewarded, and when they end.
 
-Every function takes batches: `before` and `after` are planning states [env, state], `control` is what was
-applied after clipping [env, control], `target` is [env, 2] for a reacher and [env, 0] for the others.
+A task is plain data plus functions, and anyone can make one in Python (docs/howto/own-task.md). Its functions
+take batches, so that one call serves all environments:
+
+    before, after   states [env, state]: joint positions, then joint velocities (see `physics.space`)
+    control         what was applied, after clipping to the actuators' limits [env, control]
+    target          the target of each episode [env, target]; [env, 0] for a task without targets
+
+A function must treat each environment by itself: what it returns for one may not depend on the others.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from planspace.errors import unknown
-from planspace.mjcf.compile import ASSETS, load_model
-from planspace.physics import quaternion
+from planspace.errors import UsageError, quoted
 from planspace.physics.angles import wrap
-from planspace.physics.space import StateSpace
-from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType
-from planspace.tasks.rewards import (
-    Pose,
-    balance_reward,
-    fingertip,
-    has_fallen,
-    has_reached,
-    is_up,
-    never,
-    reach_reward,
-    swing_up_reward,
-    swing_up_reward_of_2020,
-)
+from planspace.tasks.observation_types import ObservationType, RewardType, find_name
+from planspace.tasks.source_hash import function_settings
 
-DISK = 0.2
-"""Radius of the disk the reacher's targets are drawn from [m]."""
+if TYPE_CHECKING:  # importing planspace registers its tasks, and must not import MuJoCo
+    import mujoco
 
-Form = TypeVar("Form", bound=str)
+    from planspace.physics.space import StateSpace
+
+PAGE = "docs/howto/own-task.md"
+"""The how-to page that messages point to."""
+
+Reward = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(before, after, control, target) to the reward of a step [env]."""
+AtGoal = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(states, target) to whether each state is at the goal [env]."""
+Observe = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(states, target) to observations [env, obs]."""
+Terminated = Callable[[np.ndarray], np.ndarray]
+"""States after a step to whether the episode ends there [env]."""
+DrawTargets = Callable[[int, np.random.Generator], np.ndarray]
+"""(number of episodes, random stream) to their targets [env, target]."""
+
+
+def never(states: np.ndarray) -> Bool[np.ndarray, " env"]:
+    """Return False for every environment: the task does not terminate."""
+    return np.zeros(len(states), dtype=bool)
+
+
+def states_only(states: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Observe the state itself."""
+    return states
 
 
 @dataclass(frozen=True)
 class Task:
-    """One task. Sizes: n joints make a state of 2 n numbers, positions first."""
+    """One task. Everything that is said of a task stands here; no other list names it."""
 
     name: str
-    """Its name on the command line."""
-    env_id: str
-    """Its name in Gymnasium."""
-    model: str
-    """MJCF file among the assets."""
+    """Its name on the command line: letters, digits, `-`, `_` and `.`."""
+    model: str | Path
+    """The MJCF text, or the path of an MJCF file."""
     joints: tuple[str, ...]
-    """The joints that make the state."""
-    problem: str
-    """The planning problem whose demonstrations suit it."""
+    """The joints that make the state, in order."""
     start_low: tuple[float, ...]
-    """Episodes start uniformly between these ..."""
+    """Lower bound of the first states, which are drawn uniformly [m, rad, m/s, rad/s]."""
     start_high: tuple[float, ...]
-    """... and these [m, rad, m/s, rad/s]."""
+    """Upper bound of the first states."""
     horizon: int
-    """Steps an episode lasts at most."""
-    frame_skip: int
-    """Physics steps a step."""
-    observe: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    """(states, targets) to what is observed raw."""
-    obs_fields: tuple[tuple[str, str], ...]
-    """Name and unit of each number of it."""
-    trig_columns: tuple[int, ...]
-    """Angles of the state whose sin and cos the `trig` observation adds to the raw one."""
-    circular_columns: tuple[int, ...]
-    """Angles of the state that lie on a circle."""
-    reward: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-    """(before, after, control, targets) to the reward of a step."""
-    at_goal: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    """(states, targets) to whether that is where the task is to get."""
-    reward_2020: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
-    """The reward with the mistakes of 2020, where it made some."""
-    terminated: Callable[[np.ndarray], np.ndarray] = never
-    """States after a step to whether the episode ends there."""
-    quaternion: int | None = None
-    """Where in the state a quaternion begins, if there is one; starts are drawn and brought to length 1."""
-    has_target: bool = False
-    """Whether a target is drawn for each episode."""
+    """Steps of an episode before it is truncated."""
+    reward: Reward
+    """(before, after, control, target) to the reward of a step [env]."""
+    at_goal: AtGoal
+    """(states, target) to whether each state is at the goal [env]; the sparse reward pays 1 there."""
+    frame_skip: int = 1
+    """Physics steps in one step of the environment."""
+    observe: Observe = states_only
+    """(states, target) to the raw observations [env, obs]; the default observes the state."""
+    obs_fields: tuple[tuple[str, str], ...] = ()
+    """Name and unit of each number of a raw observation; the default has the state's for `states_only`, and
+    `obs_0`, `obs_1`, ... for other functions."""
+    trig_columns: tuple[int, ...] | None = None
+    """Columns of the state whose sine and cosine the `trig` observation appends; the default takes the
+    unlimited hinges."""
+    terminated: Terminated = never
+    """States after a step to whether the episode ends there [env]; the default never ends one."""
+    draw_targets: DrawTargets | None = None
+    """(number, random stream) to the targets of that many episodes [env, target]; None means no target. A
+    mocap body in the model is drawn at the target."""
+    reward_2020: Reward | None = None
+    """The reward of the 2020 code, if it had mistakes that `reward` does not have."""
+    env_id: str = ""
+    """Its Gymnasium id, such as `planspace/CartPole-v0`."""
+    problem: str | Path = ""
+    """The planning problem whose plans suit the task: a shipped name or the path of a problem file."""
+    embedding_problem: str | Path = ""
+    """The planning problem whose plans train the task's embeddings in studies, if it is not `problem`."""
+    return_range: tuple[float, float] | None = None
+    """Returns that count as 0 and 1 in averages over tasks: of doing nothing, and of solving the task."""
+    solved_return: float | None = None
+    """A seed has solved the task if its return is above this."""
+    similar_return: float | None = None
+    """Mean returns that differ by less than this count as equal in a study's claims."""
+    paper_order: int | None = None
+    """Position among the tasks of the paper's study; None for tasks that the paper does not have."""
+
+    def __post_init__(self) -> None:
+        """Turn lists into tuples and check what can be checked without the model.
+
+        Raises:
+            UsageError: a value does not fit; the message names the field and the how-to page.
+        """
+        for name in ("joints", "start_low", "start_high"):
+            value = getattr(self, name)
+            if isinstance(value, list | np.ndarray):
+                object.__setattr__(self, name, tuple(value))
+        check_fields(self)
+
+    # --- the model --------------------------------------------------------------------------------------
+
+    @cached_property
+    def mjcf(self) -> str:
+        """The model's MJCF text.
+
+        Raises:
+            PlanspaceError: the file cannot be read.
+        """
+        if isinstance(self.model, str) and "<" in self.model:
+            return self.model
+        from planspace.mjcf.read import read_model
+
+        return read_model(Path(self.model))
+
+    @cached_property
+    def space(self) -> "StateSpace":
+        """The state space of the task's joints."""
+        return self.compile()[1]
+
+    def compile(self) -> "tuple[mujoco.MjModel, StateSpace]":
+        """Compile the model and read its state space.
+
+        Raises:
+            PlanspaceError: the model does not compile.
+            UsageError: a joint is not in the model.
+        """
+        from planspace.mjcf.compile import load_model
+        from planspace.physics.space import StateSpace
+
+        model = load_model(self.mjcf)
+        return model, StateSpace.from_model(model, self.joints)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of everything that defines the task: model, numbers and the source of its functions."""
+        from planspace.storage.files import json_hash
+
+        settings = {f.name: function_settings(getattr(self, f.name)) for f in fields(self)}
+        return json_hash({**settings, "model": self.mjcf})
+
+    # --- starts, observations and rewards ---------------------------------------------------------------
+
+    @cached_property
+    def target_size(self) -> int:
+        """Numbers in a target; 0 for a task without targets."""
+        if self.draw_targets is None:
+            return 0
+        return self.draw_targets(1, np.random.default_rng(0)).shape[1]
+
+    @cached_property
+    def sin_cos_columns(self) -> tuple[int, ...]:
+        """Columns of the state whose sine and cosine the `trig` observation appends."""
+        return self.space.circular_columns if self.trig_columns is None else self.trig_columns
 
     @property
     def reward_types(self) -> tuple[RewardType, ...]:
-        """The forms of reward it has."""
+        """The reward types that the task has."""
         return ("dense", "sparse") if self.reward_2020 is None else ("dense", "sparse", "2020")
-
-    def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
-        """Compiles the model and reads its state space."""
-        model = load_model((ASSETS / self.model).read_text())
-        return model, StateSpace.from_model(model, self.joints)
 
     def sample_starts(
         self, num: int, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "env state"], Float[np.ndarray, "env target"]]:
-        """Draws the first states and the targets of some episodes."""
+        """Draw the first states and the targets of `num` episodes; quaternions are normalised."""
         states = rng.uniform(self.start_low, self.start_high, (num, len(self.start_low)))
-        if self.quaternion is not None:
-            part = slice(self.quaternion, self.quaternion + 4)
-            states[:, part] = quaternion.normalise(states[:, part])
-        if not self.has_target:
-            return states, np.empty((num, 0))
-        angle = rng.uniform(-np.pi, np.pi, num)
-        radius = DISK * np.sqrt(rng.uniform(0.0, 1.0, num))
-        return states, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        states = self.space.normalise(states)
+        targets = np.empty((num, 0)) if self.draw_targets is None else self.draw_targets(num, rng)
+        return states, targets
 
     def observe_as(
         self,
-        form: ObservationType,
+        obs_type: ObservationType,
         states: Float[np.ndarray, "env state"],
         targets: Float[np.ndarray, "env target"],
     ) -> Float[np.ndarray, "env obs"]:
-        """The observation in one of its forms."""
-        if form == "wrapped" and self.circular_columns:
+        """Return the observations of one type."""
+        if obs_type == "wrapped" and (columns := self.space.circular_columns):
             states = states.copy()
-            states[:, self.circular_columns] = wrap(states[:, self.circular_columns])
+            states[:, columns] = wrap(states[:, columns])
         raw = self.observe(states, targets)
-        if form != "trig":
+        if obs_type != "trig":
             return raw
-        angles = states[:, self.trig_columns]
+        angles = states[:, self.sin_cos_columns]
         return np.concatenate([raw, np.sin(angles), np.cos(angles)], axis=1)
 
     def reward_as(
         self,
-        form: RewardType,
+        reward_type: RewardType,
         before: Float[np.ndarray, "env state"],
         after: Float[np.ndarray, "env state"],
         control: Float[np.ndarray, "env control"],
         targets: Float[np.ndarray, "env target"],
     ) -> Float[np.ndarray, " env"]:
-        """The reward of a step in one of its forms."""
-        if form == "sparse":
+        """Return the rewards of one type."""
+        if reward_type == "sparse":
             return self.at_goal(after, targets).astype(float)
-        if form == "2020" and self.reward_2020 is not None:
+        if reward_type == "2020" and self.reward_2020 is not None:
             return self.reward_2020(before, after, control, targets)
         return self.reward(before, after, control, targets)
 
-    def fields(self, form: ObservationType) -> dict[str, str]:
-        """Name and unit of each number of an observation, in order."""
-        own = dict(self.obs_fields)
-        if form == "trig":
-            angles = [self.obs_fields[column][0] for column in self.trig_columns]  # they stand alike in both
-            own |= {f"{function}_{name}": "" for function in ("sin", "cos") for name in angles}
-        return own
+    def fields(self, obs_type: ObservationType) -> dict[str, str]:
+        """Return the name and unit of each number of an observation, in order."""
+        known = dict(self._raw_fields)
+        if obs_type == "trig":
+            angles = [self.space.names[column] for column in self.sin_cos_columns]
+            known |= {f"{function}_{angle}": "" for function in ("sin", "cos") for angle in angles}
+        return known
 
-
-def _state(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    return states
-
-
-def _reacher_raw(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    angles, velocities = states[:, :2], states[:, 2:]
-    return np.concatenate([angles, targets, velocities, fingertip(states) - targets], axis=1)
-
-
-def _reacher_trig(states: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    angles, velocities = states[:, :2], states[:, 2:]
-    parts = [np.cos(angles), np.sin(angles), targets, velocities, fingertip(states) - targets]
-    return np.concatenate(parts, axis=1)
-
-
-def _joint_fields(joints: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    return (*((joint, "rad") for joint in joints), *((f"{joint}vel", "rad/s") for joint in joints))
-
-
-def _pose_task(pose: Pose, **rest: Any) -> Task:
-    """A task whose state is what is observed, and whose aim is a pose."""
-    return Task(
-        model=pose.model,
-        joints=pose.joints,
-        frame_skip=2,
-        observe=_state,
-        reward=pose.reward,
-        at_goal=pose.at_goal,
-        **rest,
-    )
-
-
-_REACHER_JOINTS = ("joint0", "joint1")
-_REACHER_TAIL = (
-    ("target_x", "m"),
-    ("target_y", "m"),
-    ("joint0vel", "rad/s"),
-    ("joint1vel", "rad/s"),
-    ("to_target_x", "m"),
-    ("to_target_y", "m"),
-)
-_PENDULUM = Pose("pendulum.xml", ("hinge",), (0.0,) * 2, (1.0,), effort=0.1)
-_ACROBOT = Pose("acrobot.xml", ("shoulder", "elbow"), (0.0,) * 4, (0.5,) * 2, effort=0.001)
-_PLANAR = Pose(
-    "quadrotor-planar.xml", ("x", "z", "pitch"), (0.0,) * 6, (1.0, 1.0, 0.2), effort=0.01, hold=2.4525
-)
-_QUADROTOR = Pose(
-    "quadrotor.xml",
-    ("body",),
-    (0.0, 0.0, 0.0, 1.0, *(0.0,) * 9),
-    (1.0, 1.0, 1.0, 0.2, 0.2, 0.2),
-    effort=0.02,
-    hold=1.22625,
-)
-_ARM_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
-_ARM = Pose("arm.xml", _ARM_JOINTS, (1.0, 0.8, 0.0, 1.1, 0.0, 0.3, 0.0, *(0.0,) * 7), (0.2,) * 7, effort=1e-4)
-_CARTPOLE_STATE = (("slider", "m"), ("hinge", "rad"), ("slidervel", "m/s"), ("hingevel", "rad/s"))
-
-TASKS: dict[str, Task] = {
-    task.name: task
-    for task in (
-        Task(
-            name="cartpole",
-            env_id="planspace/CartPole-v0",
-            model="cartpole.xml",
-            joints=("slider", "hinge"),
-            problem="cartpole",
-            start_low=(-0.01,) * 4,
-            start_high=(0.01,) * 4,
-            horizon=100,
-            frame_skip=2,
-            observe=_state,
-            obs_fields=_CARTPOLE_STATE,
-            trig_columns=(1,),
-            circular_columns=(1,),
-            reward=balance_reward,
-            at_goal=is_up,
-            terminated=has_fallen,
-        ),
-        Task(
-            name="cartpole-swingup",
-            env_id="planspace/CartPoleSwingUp-v0",
-            model="cartpole.xml",
-            joints=("slider", "hinge"),
-            problem="cartpole-swingup",
-            start_low=(-0.1, -3.14, -0.1, -0.5),
-            start_high=(0.1, 3.14, 0.1, 0.5),
-            horizon=200,
-            frame_skip=2,
-            observe=_state,
-            obs_fields=_CARTPOLE_STATE,
-            trig_columns=(1,),
-            circular_columns=(1,),
-            reward=swing_up_reward,
-            reward_2020=swing_up_reward_of_2020,
-            at_goal=is_up,
-        ),
-        Task(
-            name="reacher-trig",
-            env_id="planspace/ReacherTrig-v0",
-            model="reacher.xml",
-            joints=_REACHER_JOINTS,
-            problem="reacher",
-            start_low=(-0.1, -0.1, -0.005, -0.005),
-            start_high=(0.1, 0.1, 0.005, 0.005),
-            horizon=100,
-            frame_skip=2,
-            observe=_reacher_trig,
-            obs_fields=(
-                *((f"{function}_{joint}", "") for function in ("cos", "sin") for joint in _REACHER_JOINTS),
-                *_REACHER_TAIL,
-            ),
-            trig_columns=(),  # it observes them instead of the angles already
-            circular_columns=(),
-            reward=reach_reward,
-            at_goal=has_reached,
-            has_target=True,
-        ),
-        Task(
-            name="reacher-raw",
-            env_id="planspace/ReacherRaw-v0",
-            model="reacher.xml",
-            joints=_REACHER_JOINTS,
-            problem="reacher",
-            start_low=(-0.1, -0.1, -0.005, -0.005),
-            start_high=(0.1, 0.1, 0.005, 0.005),
-            horizon=100,
-            frame_skip=2,
-            observe=_reacher_raw,
-            obs_fields=(*((joint, "rad") for joint in _REACHER_JOINTS), *_REACHER_TAIL),
-            trig_columns=(0, 1),
-            circular_columns=(),  # they are limited
-            reward=reach_reward,
-            at_goal=has_reached,
-            has_target=True,
-        ),
-        _pose_task(
-            _PENDULUM,
-            name="pendulum-swingup",
-            env_id="planspace/PendulumSwingUp-v0",
-            problem="pendulum",
-            start_low=(-3.14, -0.1),
-            start_high=(3.14, 0.1),
-            horizon=200,
-            obs_fields=_joint_fields(_PENDULUM.joints),
-            trig_columns=(0,),
-            circular_columns=(0,),
-        ),
-        _pose_task(
-            _ACROBOT,
-            name="acrobot-swingup",
-            env_id="planspace/AcrobotSwingUp-v0",
-            problem="acrobot",
-            start_low=(2.64, -0.5, -0.1, -0.1),
-            start_high=(3.64, 0.5, 0.1, 0.1),
-            horizon=300,
-            obs_fields=_joint_fields(_ACROBOT.joints),
-            trig_columns=(0, 1),
-            circular_columns=(0, 1),
-        ),
-        _pose_task(
-            _PLANAR,
-            name="quadrotor-planar",
-            env_id="planspace/QuadrotorPlanar-v0",
-            problem="quadrotor-planar",
-            start_low=(-1.5, -1.5, -1.0, -0.5, -0.5, -0.5),
-            start_high=(1.5, 1.5, 1.0, 0.5, 0.5, 0.5),
-            horizon=150,
-            obs_fields=(
-                ("x", "m"),
-                ("z", "m"),
-                ("pitch", "rad"),
-                ("xvel", "m/s"),
-                ("zvel", "m/s"),
-                ("pitchvel", "rad/s"),
-            ),
-            trig_columns=(2,),
-            circular_columns=(2,),
-        ),
-        _pose_task(
-            _QUADROTOR,
-            name="quadrotor",
-            env_id="planspace/Quadrotor-v0",
-            problem="quadrotor",
-            start_low=(*(-1.5,) * 3, 0.8, *(-0.3,) * 3, *(-0.5,) * 6),
-            start_high=(*(1.5,) * 3, 1.0, *(0.3,) * 3, *(0.5,) * 6),
-            horizon=150,
-            obs_fields=(
-                *((f"body_{axis}", "m") for axis in "xyz"),
-                *((f"body_q{part}", "") for part in "wxyz"),
-                *((f"body_{axis}vel", "m/s") for axis in "xyz"),
-                *((f"body_r{axis}vel", "rad/s") for axis in "xyz"),
-            ),
-            trig_columns=(),
-            circular_columns=(),
-            quaternion=3,
-        ),
-        _pose_task(
-            _ARM,
-            name="arm",
-            env_id="planspace/Arm-v0",
-            problem="arm",
-            start_low=(-1.4, 0.6, -0.3, 0.9, -0.5, -0.5, -0.5, *(0.0,) * 7),
-            start_high=(-0.8, 1.0, 0.3, 1.3, 0.5, 0.5, 0.5, *(0.0,) * 7),
-            horizon=150,
-            obs_fields=_joint_fields(_ARM.joints),
-            trig_columns=tuple(range(7)),
-            circular_columns=(),
-        ),
-    )
-}
-
-
-def find_task(name: str) -> Task:
-    """The task of a command-line name.
-
-    Raises:
-        UsageError: there is none; the nearest name is suggested.
-    """
-    if name not in TASKS:
-        raise unknown("task", name, TASKS)
-    return TASKS[name]
-
-
-def find_observation_type(name: str) -> ObservationType:
-    """The form of observation of a name.
-
-    Raises:
-        UsageError: there is none.
-    """
-    return _find("form of observation", name, OBSERVATION_TYPES)
+    @cached_property
+    def _raw_fields(self) -> tuple[tuple[str, str], ...]:
+        if self.obs_fields:
+            return self.obs_fields
+        if self.observe is states_only:
+            return tuple(zip(self.space.names, self.space.units, strict=True))
+        shape = self.observe(*self.sample_starts(1, np.random.default_rng(0))).shape
+        return tuple((f"obs_{i}", "") for i in range(shape[-1]))
 
 
 def find_reward_type(name: str, task: Task) -> RewardType:
-    """The form of reward of a name.
+    """Return the reward type with this name.
 
     Raises:
-        UsageError: the task has none of that name.
+        UsageError: the task has no reward type with this name.
     """
-    return _find(f"form of reward of {task.name}", name, task.reward_types)
+    return find_name(f"reward type of {task.name}", name, task.reward_types)
 
 
-def _find(what: str, name: str, forms: tuple[Form, ...]) -> Form:
-    for form in forms:
-        if form == name:
-            return form
-    raise unknown(what, name, forms)
+def check_fields(task: Task) -> None:
+    """Check what can be checked without compiling the model.
+
+    Raises:
+        UsageError: a value does not fit.
+    """
+    if not isinstance(task.name, str) or not re.fullmatch(r"[\w.-]+", task.name):
+        raise misfit(task, "name", f"must be letters, digits, '-', '_' and '.', got {quoted(task.name)}")
+    joints = task.joints
+    if not isinstance(joints, tuple) or not joints or not all(isinstance(joint, str) for joint in joints):
+        raise misfit(task, "joints", f"must be a list of one joint name or more, got {quoted(joints)}")
+    for name in ("horizon", "frame_skip"):
+        value = getattr(task, name)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise misfit(task, name, f"must be a whole number of at least 1, got {quoted(value)}")
+    low, high = _numbers(task, "start_low"), _numbers(task, "start_high")
+    if low.shape != high.shape or (low > high).any():
+        raise misfit(
+            task,
+            "start_low",
+            f"must have as many numbers as start_high and none above it, got {quoted(task.start_low)} and "
+            f"{quoted(task.start_high)}",
+        )
+    for name in ("reward", "at_goal", "observe", "terminated", "draw_targets", "reward_2020"):
+        value = getattr(task, name)
+        if not callable(value) and not (value is None and name in ("draw_targets", "reward_2020")):
+            raise misfit(task, name, f"must be a function, got {quoted(value)}")
+
+
+def misfit(task: Task, field: str, problem: str) -> UsageError:
+    """Build the error for a field of a task, to be raised by the caller."""
+    return UsageError(f"task {quoted(task.name)}: {field} {problem}. See {PAGE}.")
+
+
+def _numbers(task: Task, field: str) -> np.ndarray:
+    value = getattr(task, field)
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        raise misfit(task, field, f"must be a list of finite numbers, got {quoted(value)}")
+    return numbers

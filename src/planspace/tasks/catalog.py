@@ -1,0 +1,45 @@
+"""The tasks by name: each module in `tasks/shipped` has one, and users can add their own."""
+
+import importlib
+import pkgutil
+
+from planspace.errors import UsageError, quoted, unknown
+from planspace.tasks import shipped
+from planspace.tasks.task import PAGE, Task
+
+
+def shipped_tasks() -> dict[str, Task]:
+    """Import every module in `tasks/shipped` and return its `TASK`, by the task's name."""
+    names = [module.name for module in pkgutil.iter_modules(shipped.__path__, f"{shipped.__name__}.")]
+    tasks = [importlib.import_module(name).TASK for name in names]
+    return {task.name: task for task in tasks}
+
+
+TASKS: dict[str, Task] = shipped_tasks()
+"""The tasks that can be named: the shipped ones, and those that `add_task` added in this process."""
+
+
+def add_task(task: Task) -> None:
+    """Let a task of your own be found by its name in this process.
+
+    Raises:
+        UsageError: another task has this name.
+    """
+    if TASKS.get(task.name, task) != task:
+        raise UsageError(f"another task is called {task.name!r}; choose another name.")
+    TASKS[task.name] = task
+
+
+def find_task(task: str | Task) -> Task:
+    """Return the task with this name, or the task itself.
+
+    Raises:
+        UsageError: no task has this name (the nearest one is suggested), or it is neither name nor task.
+    """
+    if isinstance(task, Task):
+        return task
+    if not isinstance(task, str):
+        raise UsageError(f"expected a task or its name, got {quoted(task)}. See {PAGE}.")
+    if task not in TASKS:
+        raise unknown("task", task, TASKS)
+    return TASKS[task]

@@ -1,0 +1,1 @@
+"""The shipped tasks, one module each; `tasks.catalog` finds them here."""
