@@ -155,7 +155,9 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
 def _check_about(file: Path, about: dict[str, Any]) -> None:
     """Sees that it names nothing but what is ours: Gymnasium would import code for an environment's name."""
     task, env_id = about["task"], about["env_id"]
-    known = TASKS.get(task) if isinstance(task, str) else None
+    if not isinstance(task, str | None) or not isinstance(env_id, str | None):
+        raise TypeError("its task or its environment is not a name")
+    known = TASKS.get(task) if task else None
     if known is None or known.env_id != env_id:
         raise PlanspaceError(
             f"{file} names the environment {quoted(env_id)} for the task {quoted(task)}; planspace has none "
