@@ -7,24 +7,26 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from planspace.errors import PartialResult
+from planspace.tasks.catalog import TASKS
 
 
 @dataclass(frozen=True)
 class Run:
-    """Go from nothing to a first result: plan, embed, train, report."""
+    """Plan, embed, train and report in one command."""
 
-    task: Positional[Annotated[str, arg(metavar="TASK")]] = "cartpole-swingup"
-    """cartpole, cartpole-swingup, reacher-trig or reacher-raw."""
+    task: Positional[Annotated[str, arg(metavar="TASK", help=f"One of {', '.join(sorted(TASKS))}.")]] = (
+        "cartpole-swingup"
+    )
     budget: Literal["smoke", "small", "full"] = "small"
     """smoke: half a minute, to see that it works. small: five minutes, a first result. full: 300
-    demonstrations, and 15 policies of 2 M steps an arm."""
+    demonstrations and 15 policies of 2 M steps for each arm."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: runs/TASK-BUDGET)")] = None
     """The run's folder. The same command continues an interrupted run."""
     seed: int = 0
-    """Seed of every stage; policies take this and the following ones."""
+    """Seed of every stage. Policies use this seed and the ones after it."""
 
     def __call__(self) -> None:
-        """Runs it and prints the closing table."""
+        """Run every stage and print the closing table."""
         from planspace.storage.compiled import use_compilation_cache
         from planspace.study.quickstart import closing_table, run
 
@@ -34,4 +36,4 @@ class Run:
         print(closing_table(summary))
         print(f"\nreport           {out / 'report.html'}")
         if summary["diverged"]:
-            raise PartialResult(f"numbers that are not finite: {'; '.join(summary['diverged'])}.")
+            raise PartialResult(f"training diverged: {'; '.join(summary['diverged'])}.")
