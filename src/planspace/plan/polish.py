@@ -13,7 +13,6 @@ Rejected: iterative LQR with a terminal cost (lands, but has no notion of the sh
 between states of the plan (two states of an underactuated plant can rarely be joined by a shorter edge).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,8 @@ from scipy.optimize import linprog
 from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.plan.clearance import Clearance
+from planspace.plan.config import PolishConfig
+from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem import Goal
 
 SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.02, 0.005])
@@ -49,34 +50,6 @@ SMALLEST_RADIUS = 1e-3
 """... and never smaller than this share of a control's range."""
 PATIENCE = 4
 """An aim is given up after so many changes that brought little (one that brought nothing counts twice)."""
-
-
-@dataclass(frozen=True)
-class PolishConfig:
-    """Settings of the polish."""
-
-    max_iterations: int = 80
-    """Linear programs with a simulation after them, in all; 0 leaves the planner's path as it is."""
-    max_blocks: int = 400
-    """A plan of more physics steps is polished in blocks of several steps under one control."""
-    landing: float = 1.0
-    """Aim at this share of the goal's tolerance."""
-    tracking_cost: float = 0.01
-    """Cost of the largest control in the feedback, beside the feature-weighted states; small is stiff."""
-
-    def __post_init__(self) -> None:
-        """Checks the ranges."""
-        if self.max_iterations < 0 or self.max_blocks < 1:
-            raise ValueError("polish_max_blocks must be at least 1, polish_max_iterations not negative")
-        if not (0 < self.landing <= 1 and self.tracking_cost > 0):
-            raise ValueError("polish_landing must lie in (0, 1], polish_tracking_cost must be positive")
-
-
-class Trajectory(NamedTuple):
-    """States and the controls between them, one a block."""
-
-    states: Float[np.ndarray, "time state"]
-    controls: Float[np.ndarray, "step control"]
 
 
 class _Model(NamedTuple):

@@ -4,40 +4,18 @@ A sampling planner comes near a goal, hardly ever onto it. The regulator takes o
 can stabilise; whether it can is found by simulating, not by theory.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float, Int
 
 from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
+from planspace.plan.config import RegulatorConfig
 from planspace.tasks.problem import Goal
 
 DISCOUNTS = (1.0, 0.995)
 """A direction that neither matters nor can be controlled (a rod's turn about itself) has no finite cost; it
 has a discounted one."""
-
-
-@dataclass(frozen=True)
-class RegulatorConfig:
-    """Settings of the regulator."""
-
-    control_cost: float = 0.001
-    """Cost of the largest control, held one step, beside the feature-weighted state cost; small is brisk."""
-    velocity_cost: float = 0.1
-    """Velocities cost this share of what their feature weights say; small lets the tail hurry."""
-    max_steps: int = 75
-    """The regulator has this many physics steps to arrive."""
-    hold_steps: int = 50
-    """A goal that is to be held must be reached this many physics steps after arriving, too."""
-
-    def __post_init__(self) -> None:
-        """Checks the ranges."""
-        if self.max_steps < 1 or self.hold_steps < 0:
-            raise ValueError("regulator_max_steps must be at least 1, regulator_hold_steps not negative")
-        if not (self.control_cost > 0 and self.velocity_cost >= 0):
-            raise ValueError("regulator_control_cost must be positive, regulator_velocity_cost not negative")
 
 
 class Regulator:

@@ -11,7 +11,8 @@ from planspace.physics.angles import wrap
 from planspace.physics.replay import advance
 from planspace.physics.simulator import FREE, Simulator
 from planspace.physics.space import StateSpace
-from planspace.plan.ompl import CONTROL_PLANNERS, GEOMETRIC_PLANNERS, OMPLConfig
+from planspace.plan.ompl.planners import OMPL
+from planspace.plan.planner import Failure, Plan
 from planspace.tasks.problem import Goal, Problem
 
 PROJECTION_DIMENSIONS = 3
@@ -19,37 +20,31 @@ PROJECTION_CELLS = 20
 """Cells a dimension in the projection that KPIECE1, EST and PDST explore by."""
 
 
-class Query:
+class OMPLQuery:
     """One query in OMPL's terms."""
 
-    def __init__(self, problem: Problem, simulator: Simulator, goal: Goal, config: OMPLConfig):
+    def __init__(self, problem: Problem, simulator: Simulator, goal: Goal, planner: OMPL):
         from ompl import base, util
 
         util.setLogLevel(util.LOG_ERROR)
         self.base, self.problem, self.simulator, self.goal = base, problem, simulator, goal
-        self.config, self.space = config, simulator.space
+        self.planner, self.space = planner, simulator.space
         self.dt = simulator.model.opt.timestep
-        self.steps, self.nearest = 0, np.inf
+        self.nearest = np.inf
         self.parts = self.space.layout
         self.ompl_space = self._state_space()
 
-    def solve(self, planner: str, start: np.ndarray, seed: int) -> dict[str, Any]:
-        """Runs a planner; the answer is plain data."""
+    def solve(self, start: np.ndarray, seed: int) -> Plan | Failure:
+        """Search with the planner."""
         from ompl import util
 
         util.RNG.setSeed(seed)
         self.nearest = float(self.goal.distance(start))
-        if self.space.kinematic:
-            controls, arrived = self._solve_geometric(GEOMETRIC_PLANNERS[planner], start)
-        else:
-            controls, arrived = self._solve_control(CONTROL_PLANNERS[planner], start)
-        return {
-            "arrived": arrived,
-            "controls": controls,
-            "duration": len(controls) * self.dt if arrived else np.inf,
-            "nearest": float(self.nearest),
-            "steps": self.steps,
-        }
+        solve = self._solve_geometric if self.space.kinematic else self._solve_control
+        controls, arrived = solve(self.planner.algorithm, start)
+        if arrived:
+            return Plan(controls)
+        return Failure(f"{self.planner.name} found no path in its time", float(self.nearest), controls)
 
     # --- states -----------------------------------------------------------------------------------------
 
@@ -138,7 +133,7 @@ class Query:
         setup = control.SimpleSetup(controls)
         information = setup.getSpaceInformation()
         information.setPropagationStepSize(self.dt)
-        information.setMinMaxControlDuration(self.config.min_edge_steps, self.config.max_edge_steps)
+        information.setMinMaxControlDuration(self.planner.min_edge_steps, self.planner.max_edge_steps)
         model, data = simulator.model, mujoco.MjData(simulator.model)
 
         def propagate(before: Any, action: Any, duration: float, after: Any) -> None:
@@ -146,7 +141,6 @@ class Query:
             self.space.write(self.read(before), data.qpos, data.qvel)
             data.qacc_warmstart[:] = 0.0
             reached = advance(model, data, self.space, np.array([action[i] for i in range(size)]), steps)
-            self.steps += steps
             self.write(reached, self.clock(before) + steps * self.dt, after)
 
         setup.setStatePropagator(control.StatePropagatorFn(propagate))
@@ -187,23 +181,23 @@ class Query:
         self.ompl_space.registerDefaultProjection(self._projection)
         planner = getattr(module, name)(setup.getSpaceInformation())
         if hasattr(planner, "setGoalBias"):
-            planner.setGoalBias(self.config.goal_bias)
+            planner.setGoalBias(self.planner.goal_bias)
         if name == "SST":
-            planner.setSelectionRadius(self.config.selection_radius)
-            planner.setPruningRadius(self.config.pruning_radius)
-        self._planner = planner
+            planner.setSelectionRadius(self.planner.selection_radius)
+            planner.setPruningRadius(self.planner.pruning_radius)
+        self._ompl_planner = planner
         setup.setPlanner(planner)
 
     def _run(self, setup: Any) -> bool:
-        if self.config.iterations:
-            counted = self.base.IterationTerminationCondition(self.config.iterations)
+        if self.planner.iterations:
+            counted = self.base.IterationTerminationCondition(self.planner.iterations)
             setup.solve(self.base.PlannerTerminationCondition(counted))
         else:
-            setup.solve(self.config.seconds)
+            setup.solve(self.planner.seconds)
         return bool(setup.haveExactSolutionPath())
 
 
-def _goal_region(query: Query, information: Any) -> Any:
+def _goal_region(query: OMPLQuery, information: Any) -> Any:
     """Our goal as a region OMPL can sample."""
 
     class Region(query.base.GoalSampleableRegion):  # made here: the base class exists only with OMPL
@@ -223,7 +217,7 @@ def _goal_region(query: Query, information: Any) -> Any:
     return Region()
 
 
-def _duration(query: Query, information: Any) -> Any:
+def _duration(query: OMPLQuery, information: Any) -> Any:
     """The objective: the time between two states, for a straight motion what the velocity bounds allow."""
 
     class Duration(query.base.OptimizationObjective):
@@ -239,7 +233,7 @@ def _duration(query: Query, information: Any) -> Any:
     return Duration(information)
 
 
-def _projection(query: Query, space: Any) -> Any:
+def _projection(query: OMPLQuery, space: Any) -> Any:
     """The first few positions."""
     from ompl import util
 

@@ -1,0 +1,176 @@
+"""How demonstrations are planned: the settings of every step, in one nested dataclass."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from planspace.errors import UsageError, unknown
+from planspace.plan.planner import PAGE, Planner, as_planner
+from planspace.plan.planners import PLANNERS
+from planspace.plan.sst import SST
+from planspace.seams import check_fits
+
+if TYPE_CHECKING:
+    from planspace.tasks.problem import Problem
+
+LARGEST_SETTING = 1e12
+
+
+@dataclass(frozen=True)
+class PolishConfig:
+    """Settings of the polish, which shortens a plan and lands it on its goal."""
+
+    max_iterations: Annotated[int, arg(name="polish-max-iterations")] = 80
+    """Linear programs in total, each followed by a simulation; 0 leaves the planner's path as it is."""
+    max_blocks: Annotated[int, arg(name="polish-max-blocks")] = 400
+    """A plan with more physics steps is polished in blocks of several steps under one control."""
+    landing: Annotated[float, arg(name="polish-landing")] = 1.0
+    """Aim at this fraction of the goal's tolerance."""
+    tracking_cost: Annotated[float, arg(name="polish-tracking-cost")] = 0.01
+    """Cost of the largest control in the feedback, relative to the weighted states; small is stiff."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.max_iterations < 0 or self.max_blocks < 1:
+            raise ValueError("polish_max_blocks must be at least 1, polish_max_iterations not negative")
+        if not (0 < self.landing <= 1 and self.tracking_cost > 0):
+            raise ValueError("polish_landing must lie in (0, 1], polish_tracking_cost must be positive")
+
+
+@dataclass(frozen=True)
+class RegulatorConfig:
+    """Settings of the regulator that takes over near the goal and holds it."""
+
+    control_cost: Annotated[float, arg(name="regulator-control-cost")] = 0.001
+    """Cost of the largest control, held for one step, relative to the weighted states; small is brisk."""
+    velocity_cost: Annotated[float, arg(name="regulator-velocity-cost")] = 0.1
+    """Factor on the weights of velocities; small lets the regulator hurry."""
+    max_steps: Annotated[int, arg(name="regulator-max-steps")] = 75
+    """Physics steps within which the regulator must arrive."""
+    hold_steps: Annotated[int, arg(name="regulator-hold-steps")] = 50
+    """Physics steps for which the regulator must then hold the goal, if the problem wants it held."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.max_steps < 1 or self.hold_steps < 0:
+            raise ValueError("regulator_max_steps must be at least 1, regulator_hold_steps not negative")
+        if not (self.control_cost > 0 and self.velocity_cost >= 0):
+            raise ValueError("regulator_control_cost must be positive, regulator_velocity_cost not negative")
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """How demonstrations are planned."""
+
+    planner: Planner = field(default_factory=SST)
+    """Searches for a path from a start to a goal."""
+    restarts: int | None = None
+    """Independent searches per plan, the best of which is kept. By default 2 for sst and 1 for others."""
+    polish: PolishConfig = field(default_factory=PolishConfig)
+    """Shortens a plan and lands it on its goal."""
+    regulator: RegulatorConfig = field(default_factory=RegulatorConfig)
+    """Takes over near the goal and holds it."""
+
+    def __post_init__(self) -> None:
+        """Check the planner and the restarts."""
+        check_fits(self.planner, Planner, PAGE)
+        if self.restarts is not None and self.restarts < 1:
+            raise ValueError(f"restarts must be at least 1, got {self.restarts}")
+
+    @property
+    def num_searches(self) -> int:
+        """Searches per plan: `restarts`, or what the planner prefers."""
+        return self.restarts or int(getattr(self.planner, "default_restarts", 1))
+
+    @classmethod
+    def for_problem(cls, problem: "Problem", /, **changes: Any) -> "PlanConfig":
+        """The defaults, with the problem's own planner and settings and with further changes.
+
+        Args:
+            problem: its `settings` name fields of the planners and of the parts of this class: `polish_FIELD`,
+                `regulator_FIELD`, `ompl_FIELD`, and `sst_FIELD` or `FIELD` for the planner `sst`.
+            changes: settings with the same names, `restarts`, and `planner`, which is a name or an object. A
+                planner that is not shipped takes its own fields as `FIELD`. None leaves the default.
+
+        Raises:
+            UsageError: a setting that does not exist, or a value out of range.
+        """
+        given = {"planner": problem.planner, **dict(problem.settings)}
+        given |= {key: value for key, value in changes.items() if value is not None}
+        chosen = given.pop("planner")
+        return _Settings(find_planner(chosen)).configured(given)
+
+
+def find_planner(given: Any) -> Planner:
+    """A shipped planner by its name, or the planner that was handed over.
+
+    Raises:
+        UsageError: the name is unknown, or the object does not fit the protocol `Planner`.
+    """
+    if not isinstance(given, str):
+        return as_planner(given)
+    if given not in PLANNERS:
+        raise unknown("planner", given, PLANNERS)
+    return PLANNERS[given]
+
+
+class _Settings:
+    """The flat names of all settings: which field of which part each one names.
+
+    A problem file may give settings of several planners, because the planner can be chosen on the command
+    line. Those of other planners are checked and then not used.
+    """
+
+    def __init__(self, planner: Planner):
+        shipped: dict[str, Planner] = {}
+        for name, default in PLANNERS.items():
+            shipped.setdefault(name.partition("-")[0], default)
+        kinds = {type(default): group for group, default in shipped.items()}
+        self.group = kinds.get(type(planner), "")
+        parts = {"polish": PolishConfig(), "regulator": RegulatorConfig()}
+        self.parts: dict[str, Any] = {**shipped, **parts, self.group: planner}
+
+    def configured(self, given: dict[str, Any]) -> PlanConfig:
+        """The config with the settings given."""
+        changed: dict[str, dict[str, Any]] = {part: {} for part in self.parts}
+        restarts = given.get("restarts")
+        if restarts is not None:
+            restarts = _like(1, "restarts", restarts)
+        for key, value in given.items():
+            if key != "restarts":
+                part, name = self._place(key)
+                changed[part][name] = _like(getattr(self.parts[part], name), key, value)
+        try:
+            parts = {key: replace(part, **changed[key]) for key, part in self.parts.items() if changed[key]}
+            parts = self.parts | parts
+            return PlanConfig(parts[self.group], restarts, parts["polish"], parts["regulator"])
+        except ValueError as error:
+            raise UsageError(f"settings: {error}.") from error
+
+    def _place(self, key: str) -> tuple[str, str]:
+        """The part and the field that a setting names."""
+        known = dict(self._names())
+        if key in known:
+            return known[key]
+        if (default := f"{SST.name}_{key}") in known:
+            return known[default]
+        raise unknown("setting", key, ["planner", "restarts", *known])
+
+    def _names(self) -> Iterator[tuple[str, tuple[str, str]]]:
+        for part, settings in self.parts.items():
+            if is_dataclass(settings):
+                for f in fields(settings):
+                    yield (f"{part}_{f.name}" if part else f.name), (part, f.name)
+
+
+def _like(default: Any, key: str, value: Any) -> int | float:
+    """A number from a file or the command line, as an integer if the default is one."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST_SETTING:
+        raise UsageError(f"setting {key!r} takes a number, got {value!r}.")
+    if isinstance(default, bool) or not isinstance(default, int | float):
+        raise UsageError(f"setting {key!r} is not a number; it can only be set from Python.")
+    if isinstance(default, int) and value != int(value):
+        raise UsageError(f"setting {key!r} takes an integer, got {value!r}.")
+    return type(default)(value)

@@ -1,0 +1,247 @@
+"""Planning many demonstrations: in memory, or in a dataset folder that an interrupted command continues."""
+
+import json
+import tempfile
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import planspace
+from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.folder import DemoFolder, load_demos
+from planspace.errors import PartialResult, UsageError
+from planspace.physics.simulate import Simulator
+from planspace.plan.config import PlanConfig, find_planner
+from planspace.plan.pipeline import MAX_ATTEMPTS
+from planspace.plan.planner import Failure, check_problem
+from planspace.plan.planners import PLANNERS
+from planspace.plan.workers import check_workers, plan_all
+from planspace.progress import progress, progress_shown
+from planspace.seams import name_of, plain_settings
+from planspace.storage.checks import reject_malformed
+from planspace.storage.files import read_bytes
+from planspace.storage.rows import append_rows
+from planspace.tasks.problem import Problem
+from planspace.tasks.problem_file import load_problem
+
+SHARD_EPISODES = 10
+"""Plans per shard. A kill loses the plans since the last shard; Ctrl-C and errors only those in progress."""
+LOG = "log.jsonl"
+
+
+def plan_demos(
+    problem: Problem | str,
+    num: int = 100,
+    *,
+    planner: Any = None,
+    config: PlanConfig | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    verbose: bool = True,
+) -> Demos:
+    """Plan demonstrations from random starts.
+
+    Every plan depends only on the problem, the settings, the seed and the plan's number. If some plans are
+    not found, the others are returned, with a warning.
+
+    Args:
+        problem: a problem, a shipped problem's name, or a problem file.
+        num: number of plans.
+        planner: a name in `PLANNERS`, an object that fits the protocol `Planner`, or a function
+            `plan(query, rng)`. By default that of `config`, or the problem's own.
+        config: settings of planner, polish and regulator; by default the problem's own.
+        out: a dataset folder. The plans that it already holds are kept. By default the plans are only
+            returned.
+        seed: seed of all starts, goals and searches.
+        workers: number of processes; by default one for each CPU. 0 plans in this process, which needs no
+            importable planner; its results may differ in their last bits.
+        verbose: show a progress bar.
+
+    Returns:
+        The demonstrations.
+
+    Raises:
+        UsageError: the planner does not fit the protocol `Planner`, or cannot plan this problem.
+        PlanspaceError: `out` cannot be written or holds something else, or the problem has no valid start.
+        PartialResult: no plan at all was found.
+    """
+    problem = problem if isinstance(problem, Problem) else load_problem(str(problem))
+    if config is None:
+        config = PlanConfig.for_problem(problem, planner=planner)
+    elif planner is not None:
+        config = replace(config, planner=find_planner(planner))
+    with tempfile.TemporaryDirectory() as temporary, progress_shown(verbose):
+        folder = Path(out if out is not None else temporary)
+        try:
+            plan_into(problem, folder, num=num, seed=seed, config=config, workers=workers)
+        except PartialResult as error:
+            if not DemoFolder.count(folder):
+                raise
+            warnings.warn(str(error), stacklevel=2)
+        return load_demos(folder)
+
+
+def plan_into(
+    problem: Problem,
+    out: Path,
+    *,
+    num: int,
+    seed: int,
+    config: PlanConfig | None = None,
+    workers: int | None = None,
+) -> DemoFolder:
+    """Plan demonstrations from random starts into a dataset folder.
+
+    The plans that the folder already holds are kept. Plan i depends only on the problem, the settings, the
+    seed and i, so an interrupted command ends with the same content as one that was not interrupted.
+
+    Args:
+        problem: what to plan.
+        out: the dataset folder.
+        num: number of plans that the folder will hold.
+        seed: seed of all starts, goals and searches.
+        config: settings of planner, polish and regulator; by default the problem's own.
+        workers: number of processes; by default one for each CPU. 0 plans in this process, where linear
+            algebra may use several threads and other kernels, and may round differently.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UsageError: the planner does not fit the protocol `Planner`, or cannot plan this problem.
+        PlanspaceError: the folder cannot be written or holds something else, or the problem has no valid start.
+        PartialResult: some plans failed at every attempt; the others are saved.
+    """
+    config = config or PlanConfig.for_problem(problem)
+    _check_predicate(problem)
+    check_problem(config.planner, problem)
+    _check_start(problem)
+    check_workers(problem, config, workers)
+    folder = DemoFolder(out, state_info(problem), _settings(problem, config, seed), upgrade=upgrade_settings)
+    remaining = range(folder.next_index, num)
+    if remaining:
+        _extend(folder, problem, config, seed, remaining, workers)
+    _report_missing(folder)
+    return folder
+
+
+def state_info(problem: Problem) -> StateInfo:
+    """Names, units and model of the states of a problem's demonstrations."""
+    model, space = problem.compile()
+    return StateInfo.of_model(model, space, problem=problem.name, joints=problem.joints, mjcf=problem.mjcf)
+
+
+def _settings(problem: Problem, config: PlanConfig, seed: int) -> dict[str, Any]:
+    """What decides the content of a dataset, as the manifest records it."""
+    return {
+        "problem": problem.hash,
+        "seed": seed,
+        "planner": name_of(config.planner),
+        "config": plain_settings(replace(config, restarts=config.num_searches)),
+        "versions": {"planspace": planspace.__version__, "mujoco": mujoco.__version__},
+    }
+
+
+def upgrade_settings(settings: dict[str, Any]) -> dict[str, Any]:
+    """A manifest's settings as this version writes them.
+
+    Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`.
+    """
+    config, name = settings.get("config"), settings.get("planner")
+    if not isinstance(config, dict) or "sst" not in config or name not in PLANNERS:
+        return settings
+    group = name.partition("-")[0]
+    current = {
+        "planner": plain_settings(PLANNERS[name]) | config[group],
+        "restarts": config["restarts"] if group == "sst" else 1,
+        "polish": config["polish"],
+        "regulator": config["regulator"],
+    }
+    return settings | {"config": current}
+
+
+def _extend(
+    folder: DemoFolder,
+    problem: Problem,
+    config: PlanConfig,
+    seed: int,
+    remaining: range,
+    workers: int | None,
+) -> None:
+    """Plan what is missing; after an error or Ctrl-C, the finished plans are saved."""
+    batch, failures, solved, next_index = [], [], 0, remaining.start
+
+    def save() -> None:
+        row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
+        append_rows(folder.path / LOG, [row], key="planned")  # before the shard, so that no row is missing
+        folder.append(batch, next_index)
+        batch.clear()
+        failures.clear()
+
+    began = time.monotonic()
+    with progress("plan", remaining.stop, done=remaining.start, unit="plan") as bar:
+        try:
+            plans = plan_all(problem, config, seed, remaining, workers)
+            for i, plan in zip(remaining, plans, strict=True):
+                if isinstance(plan, Episode):
+                    batch.append(plan)
+                    solved += 1
+                else:
+                    failures.append(_failure_row(i, plan))
+                next_index = i + 1
+                tried, minutes = next_index - remaining.start, (time.monotonic() - began) / 60
+                bar.set_postfix_str(
+                    f"{solved} of {tried} solved, {solved / minutes:.0f} per minute", refresh=False
+                )
+                bar.update()
+                if next_index % SHARD_EPISODES == 0:
+                    save()
+        finally:
+            if next_index > folder.next_index:
+                save()
+
+
+def _failure_row(index: int, failure: Failure) -> dict[str, Any]:
+    nearest = failure.nearest if np.isfinite(failure.nearest) else None
+    return {"plan": index, "nearest": nearest, "reason": failure.reason}
+
+
+def _report_missing(folder: DemoFolder) -> None:
+    """Raise `PartialResult` if plans failed, with the failure that came nearest to its goal."""
+    missing = folder.next_index - folder.num_episodes
+    if not missing:
+        return
+    with reject_malformed(folder.path / LOG):
+        rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
+        failures = [failure for row in rows for failure in row["failures"]]
+        near = [failure for failure in failures if failure["nearest"] is not None]
+        closest = min(near, key=lambda failure: failure["nearest"], default=None)
+        where = (
+            f" The nearest came within {closest['nearest']:.3g} of it ({closest['reason']})."
+            if closest
+            else ""
+        )
+    raise PartialResult(
+        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{where} "
+        f"The other {folder.num_episodes} are saved in {folder.path}."
+    )
+
+
+def _check_predicate(problem: Problem) -> None:
+    """Refuse a predicate without a name: worker processes import it, and the dataset records its name."""
+    name = getattr(problem.predicate, "__qualname__", "<none>")
+    if problem.predicate is not None and ("<" in name or not hasattr(problem.predicate, "__module__")):
+        raise UsageError("the predicate must be a function that its module has by name, not a lambda.")
+
+
+def _check_start(problem: Problem) -> None:
+    """Refuse a problem without a valid start before anything is written."""
+    model, space = problem.compile()
+    simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
+    problem.draw_start(simulator, np.random.default_rng(0))

@@ -1,0 +1,174 @@
+"""One demonstration: draw a start and a goal, search, polish, and prove the plan in plain MuJoCo."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from planspace.demos.dataset import Episode
+from planspace.physics.angles import unwrap_to_end
+from planspace.physics.simulate import Simulator, advance
+from planspace.physics.space import StateSpace
+from planspace.plan.clearance import Clearance
+from planspace.plan.config import PlanConfig
+from planspace.plan.planner import Failure, Plan, search
+from planspace.plan.polish import Polish
+from planspace.plan.proof import replay_plan
+from planspace.plan.query import Query
+from planspace.plan.regulator import Regulator
+from planspace.plan.trajectory import Trajectory
+from planspace.tasks.problem import Goal, Problem
+
+MAX_ATTEMPTS = 3
+"""Attempts per plan, each from another start."""
+MAX_REDRAWS = 1000
+"""Draws of a start that does not lie in the goal region."""
+NUM_SIMULATIONS = 512
+"""Simulations that a planner finds in its query."""
+LANDINGS = (1.0, 0.5, 0.2)
+"""A polished plan whose goal cannot be held is polished again towards these fractions of the tolerance ..."""
+DEEPER_STEPS = 10
+"""... with this many more physics steps."""
+
+
+class Pipeline:
+    """Plans demonstrations of one problem, one after another, in one process."""
+
+    def __init__(self, problem: Problem, config: PlanConfig, *, threads: int = 1):
+        """Compile the problem.
+
+        Args:
+            problem: what to plan.
+            config: planner, polish and regulator.
+            threads: physics threads.
+        """
+        self.problem, self.config = problem, config
+        self.model, self.space = problem.compile()
+        self.simulator = Simulator(
+            self.model, self.space, NUM_SIMULATIONS, threads=threads, validity=problem.validity
+        )
+        self.weights = problem.weights(self.space)
+        watched = problem.forbidden_contacts != "none"
+        self.clearance = Clearance(problem, self.space, threads=threads) if watched else None
+
+    def plan(self, seed: int, index: int) -> Episode | Failure:
+        """Plan one demonstration; after a failure try again from another start."""
+        nearest, reason = np.inf, ""
+        for attempt in range(MAX_ATTEMPTS):
+            rng = np.random.default_rng(np.random.SeedSequence([seed, index, attempt]))
+            start, goal = self._draw(rng)
+            found = self.connect(start, goal, rng)
+            if isinstance(found, Trajectory):
+                return self._episode(found, goal, index, attempt)
+            nearest, reason = min(nearest, found.nearest), found.reason
+        return Failure(reason, nearest)
+
+    def connect(
+        self, start: Float[np.ndarray, " state"], goal: Goal, rng: np.random.Generator
+    ) -> Trajectory | Failure:
+        """The cheapest proven plan of several searches from one start.
+
+        Raises:
+            UsageError: the planner returned something that does not fit the protocol `Planner`.
+        """
+        if goal.reached(start):
+            return Failure("the start lies in the goal region", 0.0)
+        query = self.query(start, goal)
+        best, nearest, reason = None, np.inf, ""
+        for _ in range(self.config.num_searches):
+            plan = self._prove(query, search(self.config.planner, query, rng))
+            if isinstance(plan, Failure):
+                nearest, reason = min(nearest, plan.nearest), plan.reason
+            elif best is None or self._cost(plan) < self._cost(best):
+                best = plan
+        return best if best is not None else Failure(reason, nearest)
+
+    def query(self, start: Float[np.ndarray, " state"], goal: Goal) -> Query:
+        """What a planner is given: one instance of the problem."""
+        regulator = Regulator(self.simulator, goal, self.weights, self.config.regulator)
+        return Query(self.problem, start, goal, self.simulator, regulator)
+
+    def _draw(self, rng: np.random.Generator) -> tuple[np.ndarray, Goal]:
+        """A start and a goal; the start does not lie in the goal region."""
+        start = self.problem.draw_start(self.simulator, rng)
+        goal = self.problem.draw_goal(self.space, rng, self.simulator)
+        for _ in range(MAX_REDRAWS):
+            if not goal.reached(start):
+                break
+            start = self.problem.draw_start(self.simulator, rng)
+        return start, goal
+
+    def _prove(self, query: Query, found: Plan | Failure) -> Trajectory | Failure:
+        """The first way to end a path that passes the proof."""
+        failure = found if isinstance(found, Failure) else Failure("the planner returned an empty path")
+        for controls in self._endings(query, found):
+            plan = replay_plan(query, controls)
+            if isinstance(plan, Trajectory):
+                return plan
+            failure = Failure(plan.reason, min(failure.nearest, plan.nearest))
+        return failure
+
+    def _endings(self, query: Query, found: Plan | Failure) -> Iterator[np.ndarray]:
+        """Ways to end a path, the shortest first; each is tried only if those before it fail.
+
+        If the goal is entered too fast to be held, the next way lands deeper in it, with some more steps.
+        """
+        if found.controls is None or len(found.controls) == 0:
+            return
+        effort, guess = self.problem.cost == "effort", found.controls
+        for landing in LANDINGS if self.config.polish.max_iterations else ():
+            config = replace(self.config.polish, landing=landing * self.config.polish.landing)
+            polish = Polish(
+                self.simulator, query.goal, self.weights, config, clearance=self.clearance, effort=effort
+            )
+            controls = polish.run(query.start, guess)
+            if controls is None:
+                break
+            yield controls
+            guess = np.concatenate([controls, _regulated_steps(query, controls)])
+        if isinstance(found, Plan):
+            yield found.controls
+
+    def _episode(self, plan: Trajectory, goal: Goal, index: int, attempt: int) -> Episode:
+        times = np.arange(len(plan.states)) * self.model.opt.timestep
+        states = _continuous(self.space, plan.states)
+        return Episode(
+            states,
+            plan.controls,
+            times,
+            goal.center,
+            True,
+            index=index,
+            seed=attempt,
+            cost=self._cost(plan),
+        )
+
+    def _cost(self, plan: Trajectory) -> float:
+        return float(self.problem.step_cost(self.simulator, plan.controls).sum())
+
+
+def _regulated_steps(query: Query, controls: np.ndarray) -> np.ndarray:
+    """What the regulator does in the steps after a plan."""
+    data = mujoco.MjData(query.model)
+    query.space.write(query.start, data.qpos, data.qvel)
+    state = query.start
+    for control in controls:
+        state = advance(query.model, data, query.space, control)
+    more = []
+    for _ in range(DEEPER_STEPS):
+        more.append(query.regulator.control(state))
+        state = advance(query.model, data, query.space, more[-1])
+    return np.stack(more)
+
+
+def _continuous(space: StateSpace, states: np.ndarray) -> np.ndarray:
+    """The states without jumps: angles end in (-pi, pi], quaternions end with w >= 0."""
+    states = states.copy()
+    for column in space.circular_columns:
+        states[:, column] = unwrap_to_end(states[:, column])
+    for column in space.quaternion_columns:
+        if states[-1, column] < 0:
+            states[:, column : column + 4] *= -1.0
+    return states

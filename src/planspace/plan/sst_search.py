@@ -1,0 +1,153 @@
+"""SST*, batched: stable sparse trees (Li, Littlefield and Bekris 2016) with many extensions a round.
+
+Per round: draw random states; for each, choose the cheapest node near it (or the nearest); extend all the
+chosen nodes at once by random controls; keep of the new nodes those that are the cheapest in their witness
+cell. From the new nodes most promising for the goal, the regulator tries to finish. Every `shrink_every`
+rounds both radii shrink and the tree, with all its nodes, is sorted into the smaller cells: the star.
+
+Kept as in the original: best-near selection and one representative a witness region, which keep the tree
+sparse and its paths short. Different: witness regions are the cells of a grid over the features, found
+by hashing, where the original searches for the nearest witness; many extensions share one round.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.physics.simulate import Simulator
+from planspace.plan.query import Query
+from planspace.plan.sst import SST
+from planspace.plan.tree import Tree
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The best path of a search."""
+
+    controls: Float[np.ndarray, "step control"]
+    """The controls of the tree's path and of the regulator after it, one per physics step."""
+    arrived: bool
+    """Whether the path ends in the goal region. If not, it is the most promising one."""
+    cost: float
+    """Cost of the path [s]."""
+    nearest: float
+    """Smallest distance to the goal of any node, in the goal's measure."""
+    nodes: int
+    """Number of nodes in the tree."""
+    simulated_steps: int
+    """Physics steps taken to extend the tree and by the regulator."""
+
+
+class SSTSearch:
+    """One search from a start to a goal."""
+
+    def __init__(self, config: SST, query: Query, rng: np.random.Generator):
+        """Prepare a search; `solve` runs it.
+
+        Args:
+            config: the planner's settings.
+            query: start, goal, and simulations, which are overwritten.
+            rng: all randomness of the search.
+        """
+        self.config, self.start, self.rng = config, query.start, rng
+        self.problem, self.regulator, self.goal = query.problem, query.regulator, query.goal
+        self.weights, self.simulator = query.weights, _large_enough(query.simulator, config)
+        self.space = self.simulator.space
+
+    def solve(self) -> SearchResult:
+        """Search until a solution has been found and `min_rounds` have passed.
+
+        Returns:
+            The cheapest solution found; without one, the path to the node from which the goal looked
+            cheapest to reach.
+        """
+        c, began = self.config, time.monotonic()
+        tree = Tree(self.start, self.problem, self.simulator, c.witness_size)
+        radius, steps = c.selection_radius, 0
+        finish = _Finish(self, tree)
+        finish.consider(np.array([0]))
+        new: list[np.ndarray] = []
+        for round_index in range(c.max_rounds if not c.seconds else 1 << 30):
+            if c.seconds:
+                if time.monotonic() - began > c.seconds:
+                    break
+            elif finish.arrived and round_index >= c.min_rounds:
+                break
+            if round_index and round_index % c.shrink_every == 0:
+                radius *= c.shrink
+                tree.shrink(c.shrink)
+            parents = tree.select(self._targets(), radius)
+            controls, durations = self._draw_edges()
+            ends, valid = self.simulator.propagate(tree.states[parents], controls, durations)
+            steps += int(durations.sum())
+            new.append(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
+            if (round_index + 1) % c.tail_every == 0:
+                finish.consider(np.concatenate(new))
+                new = []
+        finish.consider(np.concatenate([np.empty(0, dtype=int), *new]))
+        nearest = float(self.goal.distance(tree.states).min())
+        steps += finish.simulated_steps
+        return SearchResult(finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps)
+
+    def _targets(self) -> Float[np.ndarray, "extension feature"]:
+        c = self.config
+        targets = self.space.sample(self.rng, c.extensions, self.problem.speed(self.space))
+        goals = round(c.goal_bias * c.extensions)
+        within = self.rng.uniform(-1.0, 1.0, (goals, self.space.tangent_size)) * self.goal.half
+        targets[:goals] = self.space.integrate(self.goal.center, within)
+        return self.space.features(targets, self.weights)
+
+    def _draw_edges(self) -> tuple[np.ndarray, np.ndarray]:
+        c, low, high = self.config, self.simulator.control_low, self.simulator.control_high
+        shape = (c.extensions, len(low))
+        controls = self.rng.uniform(low, high, shape)
+        extreme = self.rng.random((c.extensions, 1)) < c.bang_bang
+        controls = np.where(extreme, np.where(self.rng.random(shape) < 0.5, low, high), controls)
+        return controls, self.rng.integers(c.min_edge_steps, c.max_edge_steps + 1, c.extensions)
+
+
+def _large_enough(simulator: Simulator, config: SST) -> Simulator:
+    """The query's simulations, or new ones if a round needs more."""
+    num = max(config.extensions, config.tail_candidates)
+    if simulator.num >= num:
+        return simulator
+    return Simulator(
+        simulator.model, simulator.space, num, threads=simulator.threads, validity=simulator.validity
+    )
+
+
+class _Finish:
+    """The best way to the goal so far: a node, and what the regulator does from there."""
+
+    def __init__(self, query: SSTSearch, tree: Tree):
+        self.query, self.tree = query, tree
+        self.arrived, self.cost, self.simulated_steps = False, np.inf, 0
+        self._promise = np.inf  # of the node to fall back on: the regulator's own estimate
+        self._node, self._tail = 0, np.empty((0, len(query.simulator.control_low)))
+
+    def consider(self, new: np.ndarray) -> None:
+        """Runs the regulator from the most promising of the new nodes."""
+        query, tree = self.query, self.tree
+        if self.arrived:
+            new = new[tree.costs[new] < self.cost]
+        if len(new) == 0:
+            return
+        promise = query.regulator.cost_to_go(tree.states[new])
+        order = np.argsort(promise, kind="stable")[: query.config.tail_candidates]
+        tails, steps, arrived = query.regulator.finish(query.simulator, tree.states[new[order]])
+        self.simulated_steps += int(steps.sum())
+        if not self.arrived and promise[order[0]] < self._promise:
+            self._promise = promise[order[0]]
+            self._node, self._tail = int(new[order[0]]), tails[0, : steps[0]]
+        for i in np.flatnonzero(arrived):
+            tail = tails[i, : steps[i]]
+            cost = tree.costs[new[order[i]]] + query.problem.step_cost(query.simulator, tail).sum()
+            if cost < self.cost:
+                self.arrived, self.cost = True, float(cost)
+                self._node, self._tail = int(new[order[i]]), tail
+
+    def controls(self) -> np.ndarray:
+        """The path to the node, one control a step, and the regulator's end."""
+        return np.concatenate([self.tree.path(self._node), self._tail])

@@ -1,0 +1,13 @@
+"""A path through state space with the controls that lead along it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Trajectory(NamedTuple):
+    """States and the controls between them."""
+
+    states: Float[np.ndarray, "time state"]
+    controls: Float[np.ndarray, "step control"]
