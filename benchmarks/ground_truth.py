@@ -17,8 +17,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
 from planspace.demos.folder import load_demos
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.storage.files import write_bytes
 from planspace.tasks.problem_file import load_problem
 
@@ -108,8 +108,8 @@ def build_cartpole() -> None:
     problem = load_problem("cartpole-swingup")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "demos"
-        config = PlannerConfig.for_problem(problem, restarts=BEST_KNOWN_TRIES)
-        generate(problem, out, num=BEST_KNOWN_STARTS, seed=0, config=config)
+        config = PlanConfig.for_problem(problem, restarts=BEST_KNOWN_TRIES)
+        plan_into(problem, out, num=BEST_KNOWN_STARTS, seed=0, config=config)
         demos = load_demos(out)
     first, last = demos.offsets[:-1], demos.offsets[1:] - 1
     _save("cartpole-swingup.npz", starts=demos.states[first], duration=demos.times[last], seed=np.array(0))

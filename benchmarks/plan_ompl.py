@@ -19,7 +19,9 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from planspace.plan.planner import Failure, Planner, PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.pipeline import Pipeline
+from planspace.plan.planner import Failure
 from planspace.progress import progress
 from planspace.tasks.problem_file import load_problem
 
@@ -30,14 +32,14 @@ def attempt(name: str, planner: str, seconds: float, index: int) -> tuple[float,
     """Wall time, duration of the plan (NaN: not solved), nearest distance of a failure."""
     problem = replace(load_problem(name), hold=False)
     if planner == "sst":
-        config = PlannerConfig.for_problem(problem)
+        config = PlanConfig.for_problem(problem)
     elif planner == "sst alone":
         changes = {"restarts": 1, "polish_max_iterations": 0, "sst_seconds": seconds}
-        config = PlannerConfig.for_problem(problem, **changes)
+        config = PlanConfig.for_problem(problem, **changes)
     else:
         changes = {"planner": planner, "polish_max_iterations": 0, "ompl_seconds": seconds}
-        config = PlannerConfig.for_problem(problem, **changes)
-    worker = Planner(problem, config)
+        config = PlanConfig.for_problem(problem, **changes)
+    worker = Pipeline(problem, config)
     rng = np.random.default_rng([0, index])
     start, goal = problem.draw_start(worker.simulator, rng), problem.draw_goal(worker.space, rng)
     began = time.perf_counter()

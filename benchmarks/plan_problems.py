@@ -17,7 +17,7 @@ import numpy as np
 from planspace.demos.describe import replay_errors
 from planspace.demos.folder import load_demos
 from planspace.errors import PartialResult
-from planspace.plan.generate import generate
+from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem, shipped_problems
 
 
@@ -26,7 +26,7 @@ def row(name: str, num: int, seed: int) -> str:
     with tempfile.TemporaryDirectory() as folder:
         began, partial = time.perf_counter(), ""
         try:
-            generate(problem, Path(folder) / "demos", num=num, seed=seed)
+            plan_into(problem, Path(folder) / "demos", num=num, seed=seed)
         except PartialResult as error:
             partial = str(error)
             print(partial)

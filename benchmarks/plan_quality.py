@@ -18,8 +18,8 @@ from ground_truth import FOLDER, pendulum_time, reacher_time
 
 from planspace.demos.dataset import Demos
 from planspace.demos.folder import load_demos
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem
 
 
@@ -46,11 +46,11 @@ def main() -> None:
     rows = []
     for name in ("pendulum", "reacher", "reacher-random", "cartpole-swingup"):
         problem = load_problem(name)
-        config = PlannerConfig.for_problem(
+        config = PlanConfig.for_problem(
             problem, restarts=options.restarts, polish_max_iterations=0 if options.no_polish else None
         )
         with tempfile.TemporaryDirectory() as folder:
-            generate(problem, Path(folder) / "demos", num=options.num, seed=0, config=config)
+            plan_into(problem, Path(folder) / "demos", num=options.num, seed=0, config=config)
             demos = load_demos(Path(folder) / "demos")
         ratio = demos.times[demos.offsets[1:] - 1] / shortest(name, demos)
         low, median, high, most = np.quantile(ratio, [0.1, 0.5, 0.9, 1.0])

@@ -13,8 +13,11 @@ import numpy as np
 from mujoco.batch import Batch
 
 from planspace.physics.simulator import Simulator
-from planspace.plan.regulator import Regulator, RegulatorConfig
-from planspace.plan.sst import SST, SSTConfig
+from planspace.plan.config import RegulatorConfig
+from planspace.plan.query import Query
+from planspace.plan.regulator import Regulator
+from planspace.plan.sst import SST
+from planspace.plan.sst_search import SSTSearch
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 
@@ -25,20 +28,20 @@ ROUNDS = int(sys.argv[2]) if len(sys.argv) > 2 else 60
 def search_rate(problem: Problem, seed: int) -> tuple[float, int]:
     """Steps a second, and the size of the tree at the end."""
     model, space = problem.compile()
-    config = SSTConfig(min_rounds=ROUNDS, max_rounds=ROUNDS)
+    config = SST(min_rounds=ROUNDS, max_rounds=ROUNDS)
     simulator = Simulator(model, space, config.extensions, validity=problem.validity)
     rng = np.random.default_rng(seed)
     start, goal = problem.draw_start(simulator, rng), problem.draw_goal(space, rng)
     regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig())
     began = time.perf_counter()
-    search = SST(problem, simulator, regulator, config, rng).solve(start)
+    search = SSTSearch(config, Query(problem, start, goal, simulator, regulator), rng).solve()
     return search.simulated_steps / (time.perf_counter() - began), search.nodes
 
 
 def bare_rate(problem: Problem, seed: int) -> float:
     """Steps a second of as many simulations under random controls, one step a call."""
     model, _ = problem.compile()
-    count, steps = SSTConfig().extensions, 300
+    count, steps = SST().extensions, 300
     batch = Batch(model, count, 0)
     controls = np.random.default_rng(seed).uniform(-1, 1, (steps, count, model.nu))
     live = batch.bind("ctrl")

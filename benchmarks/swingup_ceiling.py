@@ -17,7 +17,9 @@ import numpy as np
 from planspace.embed.embedding import load_embedding
 from planspace.envs.batch import TaskBatch
 from planspace.physics.replay import advance
-from planspace.plan.planner import Failure, Planner, PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.pipeline import Pipeline
+from planspace.plan.planner import Failure
 from planspace.plan.regulator import Regulator
 from planspace.progress import progress
 from planspace.rl.saved_policy import Policy, load_policy
@@ -32,8 +34,8 @@ STARTS, TARGETS = TASK.sample_starts(num_episodes(TASK), np.random.default_rng(E
 def planned() -> np.ndarray:
     """The return of a planned swing-up from each start."""
     problem = load_problem(TASK.problem)
-    config = PlannerConfig.for_problem(problem, restarts=4)
-    planner, returns = Planner(problem, config), []
+    config = PlanConfig.for_problem(problem, restarts=4)
+    planner, returns = Pipeline(problem, config), []
     with progress("plan", len(STARTS), unit="start") as bar:
         for i, start in enumerate(STARTS):
             rng = np.random.default_rng(i)
@@ -47,7 +49,7 @@ def planned() -> np.ndarray:
     return np.array(returns)
 
 
-def followed(planner: Planner, regulator: Regulator, start: np.ndarray, controls: np.ndarray) -> float:
+def followed(planner: Pipeline, regulator: Regulator, start: np.ndarray, controls: np.ndarray) -> float:
     """Runs a plan, then the regulator, for as long as an episode; what the task pays for it."""
     data, state, total = mujoco.MjData(planner.model), start, 0.0
     planner.space.write(start, data.qpos, data.qvel)

@@ -19,7 +19,7 @@ import planspace
 from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
 from planspace.envs.wrappers import PlanSpaceObservation
-from planspace.plan.generate import generate
+from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem
 
 ASSETS = Path(gymnasium_mujoco.__file__).parent / "assets"
@@ -68,7 +68,7 @@ def main() -> None:
     shutil.copy(ASSETS / model, arguments.out)
     (arguments.out / "problem.yaml").write_text(problem)
     demos = arguments.out / "demos"
-    generate(load_problem(str(arguments.out / "problem.yaml")), demos, num=arguments.num, seed=0)
+    plan_into(load_problem(str(arguments.out / "problem.yaml")), demos, num=arguments.num, seed=0)
     config = replace(PRESETS["modern"], steps=arguments.steps)
     fit(planspace.load_demos(demos), arguments.out / "embedding", config=config, num_seeds=5, seed=0)
 

@@ -20,7 +20,7 @@ import planspace
 from planspace.embed.config import PRESETS
 from planspace.embed.fit import fit
 from planspace.mjcf.assets import ASSETS
-from planspace.plan.generate import generate
+from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 
@@ -62,7 +62,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     plans = arguments.out / "plans"
-    generate(problem_at_env_steps(arguments.out), plans, num=arguments.episodes, seed=0)
+    plan_into(problem_at_env_steps(arguments.out), plans, num=arguments.episodes, seed=0)
     record(arguments.dataset_id, planspace.load_demos(plans))
 
     demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # the recording names its task

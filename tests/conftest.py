@@ -13,17 +13,14 @@ from planspace.demos.folder import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
-from planspace.plan.polish import PolishConfig
-from planspace.plan.sst import SSTConfig
+from planspace.plan.config import PlanConfig, PolishConfig
+from planspace.plan.demonstrations import plan_into
+from planspace.plan.sst import SST
 from planspace.tasks.problem_file import load_problem
 
 RELEASED = Path(__file__).parents[2] / "shared" / "data" / "released-2020"
 
-QUICK_PLANNER = PlannerConfig(
-    restarts=1, sst=SSTConfig(extensions=256), polish=PolishConfig(max_iterations=15)
-)
+QUICK_PLANNER = PlanConfig(SST(extensions=256), restarts=1, polish=PolishConfig(max_iterations=15))
 QUICK_FIT = replace(PRESETS["modern"], steps=300, batch=64)
 
 
@@ -48,7 +45,7 @@ def released() -> Path:
 def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twelve planned swing-ups."""
     out = tmp_path_factory.mktemp("demos") / "demos"
-    generate(load_problem("cartpole-swingup"), out, num=12, seed=0, config=QUICK_PLANNER)
+    plan_into(load_problem("cartpole-swingup"), out, num=12, seed=0, config=QUICK_PLANNER)
     return out
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from planspace.errors import PartialResult as PartialResult
     from planspace.errors import PlanspaceError as PlanspaceError
     from planspace.errors import UsageError as UsageError
+    from planspace.plan.demonstrations import plan_demos as plan_demos
     from planspace.rl.saved_policy import Policy as Policy
     from planspace.rl.saved_policy import load_policy as load_policy
     from planspace.tasks.problem import Problem as Problem
@@ -38,6 +39,7 @@ _MODULE_OF = {
     "load_embedding": "planspace.embed.embedding",
     "load_policy": "planspace.rl.saved_policy",
     "load_problem": "planspace.tasks.problem_file",
+    "plan_demos": "planspace.plan.demonstrations",
 }
 
 __all__ = list(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -9,7 +9,7 @@ from planspace.demos.dataset import Demos, StateInfo
 from planspace.demos.folder import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.errors import PlanspaceError, UsageError
-from planspace.plan.generate import state_info
+from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
 
 PLAIN = "time,x,v\n0,1,2\n0.1,3,4\n0.2,5,6\n"

@@ -286,7 +286,7 @@ def test_what_a_task_recorded_needs_no_telling(minari, infos: bool, obs: str) ->
 
 
 def test_a_problem_takes_its_own_states_or_none(minari, tmp_path: Path) -> None:
-    from planspace.plan.generate import state_info
+    from planspace.plan.demonstrations import state_info
     from planspace.tasks.problem_file import load_problem
 
     record(minari, "planspace/CartPoleSwingUp-v0")

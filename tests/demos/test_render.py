@@ -10,7 +10,7 @@ from planspace.demos.recording import recorded
 from planspace.demos.render import FilmConfig, render_demos
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.rendering import rendering_backend
-from planspace.plan.generate import state_info
+from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
 
 # ffmpeg is started by a fork, before which JAX, imported by other tests, warns

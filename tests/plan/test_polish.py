@@ -5,10 +5,12 @@ import pytest
 
 from planspace.physics.simulator import Simulator
 from planspace.plan.clearance import Clearance
-from planspace.plan.planner import PlannerConfig
-from planspace.plan.polish import Polish, PolishConfig
-from planspace.plan.regulator import Regulator, RegulatorConfig
-from planspace.plan.sst import SST, SSTConfig
+from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig
+from planspace.plan.polish import Polish
+from planspace.plan.query import Query
+from planspace.plan.regulator import Regulator
+from planspace.plan.sst import SST
+from planspace.plan.sst_search import SSTSearch
 from planspace.tasks.problem import Goal, Problem
 from planspace.tasks.problem_file import load_problem
 
@@ -29,8 +31,8 @@ def rolled(simulator: Simulator, start: np.ndarray, controls: np.ndarray) -> np.
 
 def tree_plan(problem: Problem, simulator: Simulator, start: np.ndarray, goal: Goal) -> np.ndarray:
     regulator = Regulator(simulator, goal, problem.weights(simulator.space), RegulatorConfig())
-    config = SSTConfig(extensions=256, max_rounds=60)
-    return SST(problem, simulator, regulator, config, np.random.default_rng(0)).solve(start).controls
+    query = Query(problem, start, goal, simulator, regulator)
+    return SSTSearch(SST(extensions=256, max_rounds=60), query, np.random.default_rng(0)).solve().controls
 
 
 def test_a_double_integrator_moves_in_its_bang_bang_time() -> None:
@@ -110,12 +112,13 @@ def test_a_goal_out_of_reach_is_given_up() -> None:
 @pytest.mark.parametrize("name", ["arm", "quadrotor"])
 def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str) -> None:
     problem = load_problem(name)
-    simulator, config = make(problem), PlannerConfig.for_problem(problem)
+    simulator, config = make(problem), PlanConfig.for_problem(problem)
     rng = np.random.default_rng(1)
     start, goal = problem.draw_start(simulator, rng), problem.draw_goal(simulator.space, rng)
     weights = problem.weights(simulator.space)
     regulator = Regulator(simulator, goal, weights, config.regulator)
-    search = SST(problem, simulator, regulator, replace(config.sst, extensions=256), rng).solve(start)
+    query = Query(problem, start, goal, simulator, regulator)
+    search = SSTSearch(replace(config.planner, extensions=256), query, rng).solve()  # pyright: ignore
     assert search.arrived
     clearance = Clearance(problem, simulator.space, threads=1) if name.startswith("arm") else None
     few = replace(config.polish, max_iterations=15)

@@ -7,9 +7,10 @@ import pytest
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.assets import ASSETS
 from planspace.physics.simulator import Simulator
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
-from planspace.plan.sst import SSTConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
+from planspace.plan.ompl.planners import OMPL
+from planspace.plan.sst import SST
 from planspace.tasks.problem import Box
 from planspace.tasks.problem_file import load_problem, shipped_problems
 
@@ -171,40 +172,13 @@ time_limit: 30
     problem, ours = load_problem(write(tmp_path, text)), load_problem("cartpole-swingup")
     assert (problem.joints, problem.start, problem.goal) == (ours.joints, ours.start, ours.goal)
     assert problem.tolerance == 0.1
-    config = PlannerConfig.for_problem(problem)
-    assert config.planner == "sst" and config.sst == SSTConfig()
-    assert (config.ompl.selection_radius, config.ompl.pruning_radius, config.ompl.seconds) == (
-        0.002,
-        5e-4,
-        30,
-    )
+    assert PlanConfig.for_problem(problem).planner == SST()
+    wanted = OMPL("SST", seconds=30.0, selection_radius=0.002, pruning_radius=5e-4)
+    assert PlanConfig.for_problem(problem, planner="ompl-sst").planner == wanted
     rrt = load_problem(write(tmp_path, text.replace("planner: sst", "planner: RRT")))
-    assert PlannerConfig.for_problem(rrt).planner == "ompl-rrt"
+    assert problem.settings == rrt.settings and rrt.planner == "ompl-rrt"
     with pytest.raises(UsageError, match="unknown key 'time_limt'. Did you mean 'time_limit'"):
         load_problem(write(tmp_path, text.replace("time_limit", "time_limt")))
-
-
-def test_settings_reach_the_parts_they_name() -> None:
-    problem = replace(load_problem("cartpole"), settings=(("min_rounds", 9), ("polish_max_blocks", 50)))
-    config = PlannerConfig.for_problem(problem, restarts=3, ompl_seconds=None)
-    assert (config.sst.min_rounds, config.polish.max_blocks, config.restarts) == (9, 50, 3)
-    wider = PlannerConfig.for_problem(problem, min_edge_steps=20, max_edge_steps=40)
-    assert (wider.sst.min_edge_steps, wider.sst.max_edge_steps) == (20, 40)
-    for bad in ({"restarts": 0}, {"goal_bias": 2}, {"tail_every": 0}, {"witness_size": 0}, {"seconds": -1}):
-        with pytest.raises(UsageError, match="settings: .*must"):
-            PlannerConfig.for_problem(problem, **bad)
-    for bad in ("polish_max_blocks", "polish_landing", "regulator_max_steps", "ompl_seconds"):
-        with pytest.raises(UsageError, match=f"settings: .*{bad}.*must"):
-            PlannerConfig.for_problem(problem, **{bad: 0})
-    with pytest.raises(UsageError, match="unknown setting 'min_round'. Did you mean"):
-        PlannerConfig.for_problem(problem, min_round=3)
-    assert PlannerConfig.for_problem(problem, restarts=4.0).restarts == 4
-    with pytest.raises(UsageError, match="'min_rounds' takes a whole number, got 4.5"):
-        PlannerConfig.for_problem(problem, min_rounds=4.5)
-    with pytest.raises(UsageError, match="'min_rounds' takes a number, got 'many'"):
-        PlannerConfig.for_problem(problem, min_rounds="many")
-    with pytest.raises(UsageError, match="unknown planner 'ompl-rtt'. Did you mean 'ompl-rrt'"):
-        PlannerConfig.for_problem(problem, planner="ompl-rtt")
 
 
 def test_a_start_always_in_collision_is_said(rng: np.random.Generator, tmp_path: Path) -> None:
@@ -216,7 +190,7 @@ def test_a_start_always_in_collision_is_said(rng: np.random.Generator, tmp_path:
     with pytest.raises(PlanspaceError, match="problem arm: no valid start in 1000 draws: .*collision"):
         problem.draw_start(simulator, rng)
     with pytest.raises(PlanspaceError, match="no valid start"):
-        generate(problem, tmp_path / "demos", num=1, seed=0)
+        plan_into(problem, tmp_path / "demos", num=1, seed=0)
     assert not (tmp_path / "demos").exists()
 
 

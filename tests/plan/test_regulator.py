@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulator import Simulator
-from planspace.plan.regulator import Regulator, RegulatorConfig
+from planspace.plan.config import RegulatorConfig
+from planspace.plan.regulator import Regulator
 from planspace.tasks.problem import Goal
 from planspace.tasks.problem_file import load_problem
 

@@ -7,27 +7,30 @@ import pytest
 
 from planspace.physics.simulator import Simulator
 from planspace.plan import tree as tree_module
-from planspace.plan.regulator import Regulator, RegulatorConfig
-from planspace.plan.sst import SST, Search, SSTConfig
+from planspace.plan.config import RegulatorConfig
+from planspace.plan.query import Query
+from planspace.plan.regulator import Regulator
+from planspace.plan.sst import SST
+from planspace.plan.sst_search import SearchResult, SSTSearch
 from planspace.plan.tree import Tree
 from planspace.tasks.problem import IDLE_COST, Problem
 from planspace.tasks.problem_file import load_problem
 
-CONFIG = SSTConfig(extensions=256, min_rounds=4, max_rounds=40)
+CONFIG = SST(extensions=256, min_rounds=4, max_rounds=40)
 HANGING = np.array([0.0, np.pi, 0.0, 0.0])
 
 
-def query(seed: int, config: SSTConfig = CONFIG, problem: Problem | None = None) -> SST:
+def query(seed: int, config: SST = CONFIG, problem: Problem | None = None) -> SSTSearch:
     problem = problem or load_problem("cartpole-swingup")
     model, space = problem.compile()
     simulator = Simulator(model, space, max(config.extensions, 16), threads=1)
     goal = problem.draw_goal(space, np.random.default_rng(0))
     regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig())
-    return SST(problem, simulator, regulator, config, np.random.default_rng(seed))
+    return SSTSearch(config, Query(problem, HANGING, goal, simulator, regulator), np.random.default_rng(seed))
 
 
-def solve(seed: int, config: SSTConfig = CONFIG, problem: Problem | None = None) -> Search:
-    return query(seed, config, problem).solve(HANGING)
+def solve(seed: int, config: SST = CONFIG, problem: Problem | None = None) -> SearchResult:
+    return query(seed, config, problem).solve()
 
 
 def test_swings_up_from_hanging_and_is_deterministic() -> None:
@@ -64,14 +67,14 @@ def test_effort_is_another_cost_than_duration() -> None:
 
 def test_seconds_are_a_budget_too_and_improve_all_the_while(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds = itertools.count()  # a clock by which each takes a second
-    monkeypatch.setattr("planspace.plan.sst.time", SimpleNamespace(monotonic=lambda: next(rounds)))
+    monkeypatch.setattr("planspace.plan.sst_search.time", SimpleNamespace(monotonic=lambda: next(rounds)))
     found = solve(0, replace(CONFIG, seconds=40.0, max_rounds=1))
     assert found.arrived and found.simulated_steps > 10 * 256
     assert next(rounds) == 42  # when it began, 40 rounds, and one too many
 
 
 def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
-    found = solve(0, SSTConfig(extensions=8, min_rounds=1, max_rounds=1))
+    found = solve(0, SST(extensions=8, min_rounds=1, max_rounds=1))
     assert not found.arrived
     assert 1.0 < found.nearest <= np.pi  # it started pi away
 
@@ -81,7 +84,7 @@ def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
 )
 def test_settings_out_of_range_are_refused(wrong: dict) -> None:
     with pytest.raises(ValueError, match="must"):
-        SSTConfig(**wrong)
+        SST(**wrong)
 
 
 def make_tree(rng: np.random.Generator, rounds: int) -> Tree:

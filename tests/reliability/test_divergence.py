@@ -15,8 +15,8 @@ from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.rl import train as training
 from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
 from planspace.rl.rollout import Rollout
@@ -44,11 +44,11 @@ def test_the_planner_takes_no_edge_of_it(tmp_path: Path, monkeypatch: pytest.Mon
         return ends, valid
 
     problem = replace(load_problem("cartpole-swingup"), name="wild")  # the planner is kept for a problem
-    config = PlannerConfig.for_problem(problem, restarts=1, sst_max_rounds=5, sst_min_rounds=1)
+    config = PlanConfig.for_problem(problem, restarts=1, sst_max_rounds=5, sst_min_rounds=1)
     monkeypatch.setattr(Problem, "compile", compile_wild)
     monkeypatch.setattr(Simulator, "propagate", watched)
     with pytest.raises(PlanspaceError, match="found no way to the goal"):
-        generate(problem, tmp_path / "demos", num=1, seed=0, config=config, workers=0)
+        plan_into(problem, tmp_path / "demos", num=1, seed=0, config=config, workers=0)
     with pytest.raises(PlanspaceError, match="holds no demonstrations"):
         load_demos(tmp_path / "demos")
     assert sum(map(len, edges)) > 100 and not np.concatenate(edges).any()

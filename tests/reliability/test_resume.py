@@ -25,8 +25,8 @@ from planspace.embed import training as embed_training
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit
 from planspace.errors import PartialResult, PlanspaceError
-from planspace.plan import generate as generate_module
-from planspace.plan.generate import generate
+from planspace.plan import demonstrations
+from planspace.plan.demonstrations import plan_into
 from planspace.rl import train as rl_training
 from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig, ZMode
 from planspace.storage.arrays import read_arrays
@@ -223,7 +223,7 @@ def test_the_step_of_an_embedding_is_missed(briefly: Run, tmp_path: Path) -> Non
 
 def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A dataset's manifest is its checkpoint: its shards, and how far it had come."""
-    monkeypatch.setattr(generate_module, "SHARD_EPISODES", 2)
+    monkeypatch.setattr(demonstrations, "SHARD_EPISODES", 2)
     problem, copies, append = load_problem("cartpole-swingup"), [], DemoFolder.append
 
     def keep(folder: DemoFolder, *args: Any) -> None:
@@ -232,7 +232,7 @@ def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def run(out: Path) -> Ending:
         with suppress(PartialResult):  # says that some are missing
-            generate(problem, out, num=6, seed=0, config=QUICK_PLANNER, workers=0)
+            plan_into(problem, out, num=6, seed=0, config=QUICK_PLANNER, workers=0)
         rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
         return {"hash": load_demos(out).hash, LOG: [row["planned"] for row in rows]}
 

@@ -14,8 +14,8 @@ import pytest
 
 from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.storage.json_files import write_sealed
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim
@@ -32,7 +32,7 @@ from planspace.workers import WORKER_ENVIRONMENT, count_cores
 from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
 
 KILLS = 3
-PLANNER = PlannerConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
+PLANNER = PlanConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_a_folder_that_was_begun_again_is_not_taken_for_whole(copied: Path) -> N
     shutil.rmtree(copied / "work")
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
     half = replace(PLANS, num=10)  # of the twelve, as a kill leaves them
-    generate(load_problem(PLANS.problem), folder_of(PLANS, copied), num=half.num, seed=0, config=PLANNER)
+    plan_into(load_problem(PLANS.problem), folder_of(PLANS, copied), num=half.num, seed=0, config=PLANNER)
     assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
     run_study(more, copied, workers=1)
     assert len(load_demos(folder_of(PLANS, copied))) == 12

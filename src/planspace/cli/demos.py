@@ -136,7 +136,7 @@ class Import:
         """Import and save the dataset."""
         from planspace.demos.convert import import_demos
         from planspace.demos.recording import ImportOptions, assignments
-        from planspace.plan.generate import state_info
+        from planspace.plan.demonstrations import state_info
         from planspace.tasks.problem_file import load_problem
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)

@@ -41,8 +41,8 @@ class Plan:
 
     def __call__(self) -> None:
         """Plans and says what came of it."""
-        from planspace.plan.generate import generate
-        from planspace.plan.planner import PlannerConfig
+        from planspace.plan.config import PlanConfig
+        from planspace.plan.demonstrations import plan_into
         from planspace.tasks.problem_file import load_problem, shipped_problems
 
         if not self.problem:
@@ -64,8 +64,8 @@ class Plan:
             "polish_max_iterations": None if self.polish else 0,
         }
         changes |= dict(map(_setting, self.settings))
-        config = PlannerConfig.for_problem(problem, **changes)
-        folder = generate(
+        config = PlanConfig.for_problem(problem, **changes)
+        folder = plan_into(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )
         print(f"{folder.num_episodes} demonstrations in {self.out}")

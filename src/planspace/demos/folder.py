@@ -8,7 +8,7 @@ DIR/log.jsonl                  dates and wall times, outside every hash
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields
 from functools import cached_property
 from pathlib import Path
@@ -163,13 +163,21 @@ class StoredDemos:
 class DemoFolder:
     """A dataset on disk that grows shard by shard; each shard is on disk before the next is begun."""
 
-    def __init__(self, path: Path, info: StateInfo, settings: dict[str, Any]):
+    def __init__(
+        self,
+        path: Path,
+        info: StateInfo,
+        settings: dict[str, Any],
+        *,
+        upgrade: Callable[[dict[str, Any]], dict[str, Any]] = dict,
+    ):
         """Opens a folder, new or to be continued.
 
         Args:
             path: the folder.
             info: what the states are.
             settings: what decides the content (problem hash, seed, planner); kept in the manifest.
+            upgrade: converts settings that an earlier version saved to today's names.
 
         Raises:
             PlanspaceError: it cannot be written, or holds a dataset made with other settings.
@@ -180,8 +188,9 @@ class DemoFolder:
         self.next_index = 0
         if (path / MANIFEST).exists():
             manifest, _ = _described(path)
-            if manifest["settings"] != json.loads(json.dumps(settings)):
-                was = "; ".join(list_differences(manifest["settings"], settings))
+            saved = upgrade(manifest["settings"])
+            if saved != json.loads(json.dumps(settings)):
+                was = "; ".join(list_differences(saved, settings))
                 raise PlanspaceError(f"{path} holds demonstrations made with other settings: {was}.")
             self.shards = manifest["shards"]
             self.next_index = manifest["next_index"]

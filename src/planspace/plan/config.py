@@ -89,8 +89,8 @@ class PlanConfig:
         """The defaults, with the problem's own planner and settings and with further changes.
 
         Args:
-            problem: its `settings` name fields of the planners and of the parts of this class: `polish_FIELD`,
-                `regulator_FIELD`, `ompl_FIELD`, and `sst_FIELD` or `FIELD` for the planner `sst`.
+            problem: its `settings` name fields of the planners and of the parts of this class:
+                `polish_FIELD`, `regulator_FIELD`, `ompl_FIELD`, and `sst_FIELD` or `FIELD` for `sst`.
             changes: settings with the same names, `restarts`, and `planner`, which is a name or an object. A
                 planner that is not shipped takes its own fields as `FIELD`. None leaves the default.
 
@@ -135,9 +135,7 @@ class _Settings:
     def configured(self, given: dict[str, Any]) -> PlanConfig:
         """The config with the settings given."""
         changed: dict[str, dict[str, Any]] = {part: {} for part in self.parts}
-        restarts = given.get("restarts")
-        if restarts is not None:
-            restarts = _like(1, "restarts", restarts)
+        restarts = int(_like(1, "restarts", given["restarts"])) if "restarts" in given else None
         for key, value in given.items():
             if key != "restarts":
                 part, name = self._place(key)

@@ -4,18 +4,17 @@ import json
 import tempfile
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
-import planspace
 from planspace.demos.dataset import Demos, Episode, StateInfo
 from planspace.demos.folder import DemoFolder, load_demos
 from planspace.errors import PartialResult, UsageError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.config import PlanConfig, find_planner
 from planspace.plan.pipeline import MAX_ATTEMPTS
 from planspace.plan.planner import Failure, check_problem
@@ -25,6 +24,7 @@ from planspace.progress import progress, progress_shown
 from planspace.seams import name_of, plain_settings
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import read_bytes
+from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
@@ -34,7 +34,7 @@ SHARD_EPISODES = 10
 LOG = "log.jsonl"
 
 
-def plan_demos(
+def plan_demos(  # noqa: PLR0913
     problem: Problem | str,
     num: int = 100,
     *,
@@ -77,14 +77,13 @@ def plan_demos(
     elif planner is not None:
         config = replace(config, planner=find_planner(planner))
     with tempfile.TemporaryDirectory() as temporary, progress_shown(verbose):
-        folder = Path(out if out is not None else temporary)
-        try:
-            plan_into(problem, folder, num=num, seed=seed, config=config, workers=workers)
-        except PartialResult as error:
-            if not DemoFolder.count(folder):
-                raise
-            warnings.warn(str(error), stacklevel=2)
-        return load_demos(folder)
+        folder = _plan_missing(problem, Path(temporary if out is None else out), num, seed, config, workers)
+        report = _report_failures(folder)
+        if report and not folder.num_episodes:
+            raise PartialResult(report)
+        if report:
+            warnings.warn(report, stacklevel=2)
+        return load_demos(folder.path)
 
 
 def plan_into(
@@ -115,19 +114,14 @@ def plan_into(
 
     Raises:
         UsageError: the planner does not fit the protocol `Planner`, or cannot plan this problem.
-        PlanspaceError: the folder cannot be written or holds something else, or the problem has no valid start.
+        PlanspaceError: the folder cannot be written or holds something else, or the problem has no valid
+            start.
         PartialResult: some plans failed at every attempt; the others are saved.
     """
     config = config or PlanConfig.for_problem(problem)
-    _check_predicate(problem)
-    check_problem(config.planner, problem)
-    _check_start(problem)
-    check_workers(problem, config, workers)
-    folder = DemoFolder(out, state_info(problem), _settings(problem, config, seed), upgrade=upgrade_settings)
-    remaining = range(folder.next_index, num)
-    if remaining:
-        _extend(folder, problem, config, seed, remaining, workers)
-    _report_missing(folder)
+    folder = _plan_missing(problem, out, num, seed, config, workers)
+    if report := _report_failures(folder):
+        raise PartialResult(f"{report} The other {folder.num_episodes} are saved in {folder.path}.")
     return folder
 
 
@@ -144,7 +138,7 @@ def _settings(problem: Problem, config: PlanConfig, seed: int) -> dict[str, Any]
         "seed": seed,
         "planner": name_of(config.planner),
         "config": plain_settings(replace(config, restarts=config.num_searches)),
-        "versions": {"planspace": planspace.__version__, "mujoco": mujoco.__version__},
+        "versions": Provenance.current("mujoco").plain(),
     }
 
 
@@ -166,15 +160,23 @@ def upgrade_settings(settings: dict[str, Any]) -> dict[str, Any]:
     return settings | {"config": current}
 
 
-def _extend(
-    folder: DemoFolder,
-    problem: Problem,
-    config: PlanConfig,
-    seed: int,
-    remaining: range,
-    workers: int | None,
-) -> None:
-    """Plan what is missing; after an error or Ctrl-C, the finished plans are saved."""
+def _plan_missing(
+    problem: Problem, out: Path, num: int, seed: int, config: PlanConfig, workers: int | None
+) -> DemoFolder:
+    """Plan the demonstrations that a folder does not hold yet."""
+    _check_predicate(problem)
+    check_problem(config.planner, problem)
+    _check_start(problem)
+    check_workers(problem, config, workers)
+    folder = DemoFolder(out, state_info(problem), _settings(problem, config, seed), upgrade=upgrade_settings)
+    remaining = range(folder.next_index, num)
+    if remaining:
+        _extend(folder, remaining, plan_all(problem, config, seed, remaining, workers))
+    return folder
+
+
+def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Episode | Failure]) -> None:
+    """Save plans as they are made; after an error or Ctrl-C, those that are finished."""
     batch, failures, solved, next_index = [], [], 0, remaining.start
 
     def save() -> None:
@@ -187,7 +189,6 @@ def _extend(
     began = time.monotonic()
     with progress("plan", remaining.stop, done=remaining.start, unit="plan") as bar:
         try:
-            plans = plan_all(problem, config, seed, remaining, workers)
             for i, plan in zip(remaining, plans, strict=True):
                 if isinstance(plan, Episode):
                     batch.append(plan)
@@ -212,11 +213,11 @@ def _failure_row(index: int, failure: Failure) -> dict[str, Any]:
     return {"plan": index, "nearest": nearest, "reason": failure.reason}
 
 
-def _report_missing(folder: DemoFolder) -> None:
-    """Raise `PartialResult` if plans failed, with the failure that came nearest to its goal."""
+def _report_failures(folder: DemoFolder) -> str:
+    """How many plans failed and which came nearest to its goal; empty if none failed."""
     missing = folder.next_index - folder.num_episodes
     if not missing:
-        return
+        return ""
     with reject_malformed(folder.path / LOG):
         rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
         failures = [failure for row in rows for failure in row["failures"]]
@@ -227,9 +228,8 @@ def _report_missing(folder: DemoFolder) -> None:
             if closest
             else ""
         )
-    raise PartialResult(
-        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{where} "
-        f"The other {folder.num_episodes} are saved in {folder.path}."
+    return (
+        f"{missing} of {folder.next_index} plans found no way to the goal in {MAX_ATTEMPTS} attempts.{where}"
     )
 
 

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from planspace.demos.dataset import Episode
 from planspace.physics.angles import unwrap_to_end
-from planspace.physics.simulate import Simulator, advance
+from planspace.physics.replay import advance
+from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig

@@ -137,7 +137,9 @@ def _checked_controls(planner: Planner, given: Any, query: "Query") -> Float[np.
     if bad.any():
         step, number = np.argwhere(bad)[0]
         raise _misfit(
-            planner, "must return finite controls", f"{controls[step, number]} in step {step}, number {number}"
+            planner,
+            "must return finite controls",
+            f"{controls[step, number]} in step {step}, number {number}",
         )
     slack = BOUND_TOLERANCE * (high - low)
     outside = (controls < low - slack) | (controls > high + slack)

@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from planspace.physics.simulate import Simulator, advance
+from planspace.physics.replay import advance
+from planspace.physics.simulator import Simulator
 from planspace.plan.planner import Failure
 from planspace.plan.query import Query
 from planspace.plan.trajectory import Trajectory

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.regulator import Regulator
 from planspace.tasks.problem import Goal, Problem

@@ -5,22 +5,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-<<<<<<< HEAD
-from planspace.physics.simulator import Simulator
-from planspace.plan.regulator import Regulator
-from planspace.plan.tree import Tree
-from planspace.tasks.problem import Goal, Problem
-=======
 from planspace.plan.planner import Failure, Plan
 
 if TYPE_CHECKING:
     from planspace.plan.query import Query
->>>>>>> 04cb28e (wip)
 
 
 @dataclass(frozen=True)
 class SST:
-    """Stable sparse trees (SST*), batched. Budgets count rounds, so that a seed gives the same plan anywhere."""
+    """Stable sparse trees (SST*), with many extensions per round.
+
+    Budgets count rounds, so that a seed gives the same plan on every machine.
+    """
 
     name: ClassVar[str] = "sst"
     default_restarts: ClassVar[int] = 2

@@ -56,8 +56,9 @@ def plan_all(
                 yield future.result()
         except BrokenProcessPool as error:
             raise PlanspaceError(
-                f"a worker process ended unexpectedly while planning with {name_of(config.planner)}. A script "
-                "must start its work under `if __name__ == '__main__':`; workers=0 plans without processes."
+                f"a worker process ended unexpectedly while planning with {name_of(config.planner)}. A "
+                "script must start its work under `if __name__ == '__main__':`; workers=0 plans without "
+                "processes."
             ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -22,8 +22,8 @@ from planspace.embed.fit import fit
 from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.figures.projection import principal_components
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
@@ -125,9 +125,9 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
     if unit.source == "2020":
         wound_plans(problem, folder, unit.num, unit.seed)
     else:
-        config = PlannerConfig.for_problem(problem, **dict(unit.settings))
+        config = PlanConfig.for_problem(problem, **dict(unit.settings))
         with suppress(PartialResult):  # those that were found are demonstrations all the same
-            generate(problem, folder, num=unit.num, seed=unit.seed, config=config, workers=0)
+            plan_into(problem, folder, num=unit.num, seed=unit.seed, config=config, workers=0)
     demos = load_demos(folder)
     ends = demos.states[demos.offsets[1:] - 1]
     _, space = demos.info.compile()

@@ -18,7 +18,7 @@ from planspace.demos.dataset import Episode
 from planspace.demos.folder import DemoFolder
 from planspace.errors import PlanspaceError
 from planspace.physics.simulator import Simulator
-from planspace.plan.generate import SHARD_EPISODES, state_info
+from planspace.plan.demonstrations import SHARD_EPISODES, state_info
 from planspace.progress import progress
 from planspace.tasks.problem import Problem
 

@@ -14,8 +14,8 @@ from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.embedding import DESCRIPTION
 from planspace.embed.fit import fit
 from planspace.errors import PlanspaceError, unknown
-from planspace.plan.generate import generate
-from planspace.plan.planner import PlannerConfig
+from planspace.plan.config import PlanConfig
+from planspace.plan.demonstrations import plan_into
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.train import train
@@ -38,7 +38,7 @@ class Budget:
 
     demos: int
     """Demonstrations to plan."""
-    planner: PlannerConfig
+    planner: PlanConfig
     """How to plan them."""
     fit: FitConfig
     """How to train the embedding."""
@@ -53,7 +53,7 @@ class Budget:
 BUDGETS: dict[str, Budget] = {
     "smoke": Budget(
         demos=12,
-        planner=PlannerConfig(restarts=1),
+        planner=PlanConfig(restarts=1),
         fit=replace(PRESETS["modern"], steps=1_500),
         embedding_seeds=5,
         seeds=5,
@@ -61,7 +61,7 @@ BUDGETS: dict[str, Budget] = {
     ),
     "small": Budget(
         demos=60,
-        planner=PlannerConfig(),
+        planner=PlanConfig(),
         fit=PRESETS["modern"],
         embedding_seeds=5,
         seeds=5,
@@ -69,7 +69,7 @@ BUDGETS: dict[str, Budget] = {
     ),
     "full": Budget(
         demos=300,
-        planner=PlannerConfig(),
+        planner=PlanConfig(),
         fit=PRESETS["modern"],
         embedding_seeds=5,
         seeds=15,
@@ -109,7 +109,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
         },
     )
     problem = load_problem(task.problem)
-    generate(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
+    plan_into(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
     demos = load_demos(out / "demos")
     embedding = fit(demos, out / "embedding", config=budget.fit, num_seeds=budget.embedding_seeds, seed=seed)
     arms = _arms(task_name, budget, seed)

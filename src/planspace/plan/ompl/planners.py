@@ -87,7 +87,5 @@ class OMPL:
             )
 
 
-OMPL_PLANNERS = {
-    planner.name: planner for planner in map(OMPL, (*CONTROL_ALGORITHMS, *GEOMETRIC_ALGORITHMS))
-}
+OMPL_PLANNERS = {planner.name: planner for planner in map(OMPL, (*CONTROL_ALGORITHMS, *GEOMETRIC_ALGORITHMS))}
 """Name to planner with default settings."""

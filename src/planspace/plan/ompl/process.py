@@ -12,7 +12,7 @@ import sys
 import numpy as np
 
 from planspace.errors import PlanspaceError
-from planspace.physics.simulate import Simulator
+from planspace.physics.simulator import Simulator
 from planspace.plan.ompl.planners import OMPL
 from planspace.plan.planner import Failure, Plan
 from planspace.plan.query import Query
