@@ -26,6 +26,9 @@ EXTRAS = {
 }
 SMALLER = {
     "--num 200": "--num 6",
+    "--num 20 ": "--num 2 ",
+    "num=60": "num=12",
+    "num=20": "num=2",
     "--num 60": "--num 12",
     "--seeds 15": "--seeds 2",
     "--steps 500000": "--steps 8000",
@@ -85,6 +88,7 @@ def test_page_runs(
     for module in EXTRAS.get(page, ()):
         pytest.importorskip(module, reason="needs an extra")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     shutil.copytree(embedding_folder, "runs/cartpole-swingup-small/embedding")
     names: dict = {}
