@@ -8,18 +8,29 @@ import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
+from tyro.conf import arg
 
 from planspace.errors import PlanspaceError, UsageError, quoted, unknown
-from planspace.seams import check_fits, is_object_path, load_object
+from planspace.seams import is_object_path, load_object
 from planspace.storage.files import read_bytes
 
 Config = TypeVar("Config")
-Seam = TypeVar("Seam")
 
 MAX_CONFIG_BYTES = 1 << 20
+ConfigFile = Annotated[
+    Path | None,
+    arg(
+        name="config",
+        metavar="FILE",
+        help="Settings from a YAML file, or from the config.json or manifest.json of an earlier run. Options "
+        "on the command line win.",
+        help_behavior_hint="(default: none)",
+    ),
+]
+"""The option `--config`."""
 
 
 def given_option(arguments: Sequence[str], name: str) -> str | None:
@@ -37,23 +48,29 @@ def given_option(arguments: Sequence[str], name: str) -> str | None:
     return found
 
 
-def chosen(given: str, shipped: Mapping[str, Seam], protocol: type[Seam], page: str) -> Seam:
-    """The object that a command line names: a shipped one, or `module.py:NAME` from the user's own code.
+def load_or_name(given: str) -> Any:
+    """The object that `module.py:NAME` names in the user's own code, or the name of a shipped one."""
+    return load_object(given) if is_object_path(given) else given
+
+
+def named_in_file(settings: Mapping[str, Any], seam: str) -> str | None:
+    """The name of the shipped object that a file's settings belong to, or None.
 
     Args:
-        given: what was typed.
-        shipped: name to object.
-        protocol: what the object must fit.
-        page: the how-to page to refer to.
+        settings: the content of the file.
+        seam: the field that holds the object, such as `planner`.
 
     Raises:
-        UsageError: the name is unknown, or the object does not fit the protocol.
+        UsageError: the object is a user's own, which only the command line may name.
     """
-    if is_object_path(given):
-        return check_fits(load_object(given), protocol, page)
-    if given not in shipped:
-        raise unknown(protocol.__name__.lower(), given, [*shipped, "module.py:NAME"])
-    return shipped[given]
+    group = settings.get(seam)
+    name = group.get("name") if isinstance(group, Mapping) else None
+    if isinstance(group, Mapping) and "source_sha256" in group:
+        raise UsageError(
+            f"the file was made with the {seam} {quoted(name)}, which is your own code: name it on the "
+            "command line as module.py:NAME."
+        )
+    return name
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

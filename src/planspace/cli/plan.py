@@ -1,80 +1,125 @@
 """`planspace plan`."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from planspace.errors import UsageError, unknown
+from planspace.cli.config_files import (
+    ConfigFile,
+    given_option,
+    load_or_name,
+    named_in_file,
+    read_config,
+    with_settings,
+)
+from planspace.errors import UsageError
+from planspace.mjcf.assets import ASSETS
+from planspace.plan.config import PlanConfig, find_planner
+
+PROBLEMS = sorted(path.stem for path in ASSETS.glob("*.yaml"))
+PROBLEM_HELP = f"One of {', '.join(PROBLEMS)}; or the path of your own problem file."
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan demonstrations from random starts to a goal."""
+    """Plan demonstrations from random starts to a goal.
 
-    out: Annotated[Path, arg(metavar="DIR")]
+    The settings of the planner, the polish and the regulator are options, too. Their defaults are those of
+    the problem.
+    """
+
+    problem: Positional[Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help=PROBLEM_HELP)]] = ""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The dataset folder. The same command continues an interrupted one; a larger --num adds to it."""
-    problem: Positional[Annotated[str, arg(metavar="PROBLEM|FILE.yaml")]] = ""
-    """A shipped problem's name, or a problem file; without it the names are listed."""
     num: Annotated[int, arg(metavar="N")] = 100
-    """How many demonstrations."""
+    """Number of demonstrations."""
     seed: int = 0
-    """Seed of starts, goals and planner."""
+    """Seed of starts, goals and searches."""
     workers: Annotated[int, arg(metavar="N")] = 0
-    """Processes; 0 takes one for each CPU. The result does not depend on it."""
-    planner: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the problem's, sst)")] = ""
-    """sst is ours. OMPL's are ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst,
-    and for kinematic problems ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar."""
-    cost: Annotated[str, arg(metavar="COST", help_behavior_hint="(default: the problem's, duration)")] = ""
-    """What makes a plan good: duration, or effort."""
-    restarts: Annotated[int, arg(metavar="N", help_behavior_hint="(default: the problem's, 2)")] = 0
-    """Independent searches for each plan, the best of which is kept (one with OMPL)."""
-    polish: bool = True
-    """Shorten each plan and land it on its goal; --no-polish keeps what the planner found."""
-    seconds: Annotated[float, arg(metavar="S", help_behavior_hint="(default: count rounds; OMPL 20)")] = 0.0
-    """Time for each search. Counting rounds instead makes the same plans on every machine."""
+    """Worker processes; 0 starts one for each CPU. The result does not depend on this number."""
+    planner: Annotated[
+        str, arg(metavar="NAME|module.py:NAME", help_behavior_hint="(default: the problem's, sst)")
+    ] = ""
+    """sst; or with the extra `ompl`: ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst, and for kinematic
+    problems ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar; or module.py:NAME for your own."""
+    cost: Annotated[
+        Literal["duration", "effort"] | None, arg(help_behavior_hint="(default: the problem's, duration)")
+    ] = None
+    """What plans are compared and shortened by."""
+    no_polish: bool = False
+    """Keep what the planner found, instead of shortening each plan and landing it on its goal."""
     settings: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")]] = ()
-    """Further settings of the planner, such as min_rounds=60, polish_max_blocks=100, ompl_goal_bias=0.2."""
+    """Settings by the names that problem files use, such as polish_max_blocks=100 or ompl_goal_bias=0.2."""
     untrusted: bool = False
-    """The model comes from strangers: read it in a process of its own, in bounded memory and time."""
+    """The model comes from someone you do not trust: read it in a separate process with limited memory and
+    time."""
+    config_file: ConfigFile = None
+    config: PlanConfig = field(default_factory=PlanConfig)
+
+    @classmethod
+    def default(cls, arguments: Sequence[str]) -> "Plan":
+        """The defaults of the problem, and the settings that --planner, --settings and --config ask for."""
+        from planspace.tasks.problem_file import load_problem
+
+        path = given_option(arguments, "--config")
+        file = {} if path is None else read_config(path)
+        file = file.get("settings", {}).get("config", file)  # a dataset records them in its manifest
+        planner = given_option(arguments, "--planner") or named_in_file(file, "planner")
+        chosen = None if planner is None else find_planner(load_or_name(planner))
+        config = PlanConfig() if chosen is None else PlanConfig(chosen)
+        if problem := _named_problem(arguments):
+            given = dict(map(_setting, _given_settings(arguments)))
+            loaded = load_problem(problem, untrusted="--untrusted" in arguments)
+            config = PlanConfig.for_problem(loaded, planner=chosen, **given)
+        if path is not None:
+            config = with_settings(config, file, path)
+        return cls(config=config)
 
     def __call__(self) -> None:
-        """Plans and says what came of it."""
-        from planspace.plan.config import PlanConfig
+        """Plan, and print how many demonstrations there are."""
         from planspace.plan.demonstrations import plan_into
-        from planspace.tasks.problem_file import load_problem, shipped_problems
+        from planspace.tasks.problem_file import load_problem
 
         if not self.problem:
-            raise UsageError(f"which problem? Shipped: {', '.join(shipped_problems())}; or a FILE.yaml.")
-        if self.num < 1 or min(self.restarts, self.seconds, self.workers, self.seed) < 0:
-            raise UsageError(
-                "--num must be at least 1; --restarts, --seconds, --workers and --seed must not be negative."
-            )
+            raise UsageError(f"which problem? {PROBLEM_HELP}")
+        if self.out is None:
+            raise UsageError("`--out DIR` is required: the folder of the dataset.")
+        for name, least in (("num", 1), ("workers", 0), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise UsageError(f"`--{name}` must be at least {least}, got {getattr(self, name)}.")
         problem = load_problem(self.problem, untrusted=self.untrusted)
-        if self.cost not in ("", "duration", "effort"):
-            raise unknown("cost", self.cost, ["duration", "effort"])
-        problem = replace(problem, cost=self.cost) if self.cost else problem
-        seconds = self.seconds or None
-        changes = {
-            "planner": self.planner or None,
-            "restarts": self.restarts or None,
-            "sst_seconds": seconds,
-            "ompl_seconds": seconds,
-            "polish_max_iterations": None if self.polish else 0,
-        }
-        changes |= dict(map(_setting, self.settings))
-        config = PlanConfig.for_problem(problem, **changes)
+        if self.cost is not None:
+            problem = replace(problem, cost=self.cost)
+        config = self.config
+        if self.no_polish:
+            config = replace(config, polish=replace(config.polish, max_iterations=0))
         folder = plan_into(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )
         print(f"{folder.num_episodes} demonstrations in {self.out}")
 
 
+def _named_problem(arguments: Sequence[str]) -> str | None:
+    """The problem that a command line names, found before its options are parsed."""
+    for position, argument in enumerate(arguments):
+        is_option_value = position > 0 and arguments[position - 1] in ("--config", "--out", "--planner")
+        if not is_option_value and (argument in PROBLEMS or argument.endswith((".yaml", ".yml"))):
+            return argument
+    return None
+
+
+def _given_settings(arguments: Sequence[str]) -> list[str]:
+    return [value for option, value in pairwise(arguments) if option == "--settings"]
+
+
 def _setting(text: str) -> tuple[str, float]:
-    """`KEY=VALUE` taken apart."""
+    """Split `KEY=VALUE`."""
     key, _, value = text.partition("=")
     try:
         return key, float(value)
     except ValueError:
-        raise UsageError(f"--settings takes KEY=VALUE with a number, got {text!r}.") from None
+        raise UsageError(f"`--settings` takes KEY=VALUE with a number, got {text!r}.") from None
