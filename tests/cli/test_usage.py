@@ -39,7 +39,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
             ["plan", "reacher", "--planner", "ompl-prm", "--out", "x"],
             "ompl-prm cannot plan a dynamic problem",
         ),
-        (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number, got 'min_rounds'"),
+        (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number, got"),
         (["plan", "reacher", "--settings", "min_round=4", "--out", "x"], "Did you mean 'sst_min_rounds'?"),
         (["plan", "reacher", "--workers", "-1", "--out", "x"], "`--workers` must be at least 0, got -1."),
         (["plan", "reacher", "--settings", "restarts=0", "--out", "x"], "restarts must be at least 1"),
