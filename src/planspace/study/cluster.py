@@ -26,6 +26,7 @@ from planspace.storage.runs import lock_folder
 from planspace.storage.settings import list_differences
 from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, read_result
 from planspace.study.pool import REFRESH_S, named
+from planspace.study.results import UnitResult
 from planspace.study.unit import Unit
 from planspace.workers import WORKER_ENVIRONMENT, available_cores
 
@@ -149,9 +150,7 @@ def check_cluster(address: str) -> None:
 # --- on the cluster -------------------------------------------------------------------------------------
 
 
-def run_remotely(
-    unit: Unit, needed: dict[str, Files], versions: dict[str, str]
-) -> tuple[dict[str, Any], Files]:
+def run_remotely(unit: Unit, needed: dict[str, Files], versions: dict[str, str]) -> tuple[UnitResult, Files]:
     """A task: runs a unit in a folder of this machine, where a worker that died before has left what it had.
 
     Raises:

@@ -64,6 +64,12 @@ class Arm:
         return len(self.units[0].fits)
 
 
+def solved_level(arm: Arm) -> float | None:
+    """The return above which a seed has solved the task of an arm; None for a reward without a level."""
+    config = arm.units[0].config
+    return find_task(config.task).solved_return if config.reward == "dense" else None
+
+
 @dataclass(frozen=True)
 class Claim:
     """What is claimed, and the number that decides it.

@@ -2,8 +2,8 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any
 
+from planspace.study.results import UnitResult
 from planspace.study.unit import PolicyUnit, Unit
 
 
@@ -18,13 +18,13 @@ class Pace:
         self._guessed: defaultdict[str, float] = defaultdict(float)
 
     @classmethod
-    def of(cls, units: Iterable[Unit], results: Mapping[str, Mapping[str, Any]]) -> "Pace":
+    def of(cls, units: Iterable[Unit], results: Mapping[str, UnitResult]) -> "Pace":
         """That of the units which have a result, by name, and were run in one go."""
         pace = cls()
         for unit in units:
             result = results.get(unit.name)
-            if result is not None and not result["resumed"]:
-                pace.add(unit, result["seconds"] * result["cores"])
+            if result is not None and not result.resumed:
+                pace.add(unit, result.core_seconds)
         return pace
 
     def add(self, unit: Unit, core_seconds: float) -> None:

@@ -7,9 +7,11 @@ A unit whose result is there is done, on whatever machine. Its folder is made ag
 is not done reads it; its result stays what it was.
 """
 
+import platform
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +30,24 @@ from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
 from planspace.storage.compiled import use_compilation_cache
+from planspace.storage.checks import reject_malformed
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import read_description, write_sealed
 from planspace.storage.provenance import Provenance
 from planspace.study.plans_2020 import wound_plans
+from planspace.study.results import (
+    Film,
+    FitResult,
+    Found,
+    PlansResult,
+    PoliciesResult,
+    UnitResult,
+    result_from_json,
+)
 from planspace.study.stick_figure import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 from planspace.tasks.problem_file import load_problem
-from planspace.workers import count_cores
+from planspace.workers import CPU_INFO, count_cores
 
 SCHEMA = 1
 VERSIONS = Provenance.current("mujoco", "jax").plain()
@@ -44,6 +56,8 @@ WHOLE = "unit.whole"
 KEPT_EVERY, SHORT = 5, 50
 """Returns are kept as means of so many iterations, rounded to 2 decimals; of fewer iterations than the second
 number every one is."""
+LOG_ROWS = 100
+"""Rows of a training log that are kept."""
 PATHS, POINTS = 12, 40
 """Demonstrations that are kept as an embedding sees them, and states of each."""
 FILM_SEED = 1000
@@ -70,13 +84,28 @@ def has_folder(unit: Unit, out: Path) -> bool:
     return (folder_of(unit, out) / WHOLE).exists()
 
 
-def read_result(unit: Unit, out: Path) -> dict[str, Any]:
-    """A finished unit's result.
+def read_result(unit: Unit, out: Path) -> UnitResult:
+    """Read the result of a finished unit.
 
     Raises:
         PlanspaceError: it is damaged, or was written by a newer planspace.
     """
-    return read_description(result_file(unit, out), kind=f"{unit.kind} of a study", schema=SCHEMA)
+    return read_result_file(result_file(unit, out), unit.kind)
+
+
+def read_result_file(file: Path, kind: str) -> UnitResult:
+    """Read a result from its file.
+
+    Args:
+        file: `DIR/units/NAME.json`.
+        kind: the kind of unit: `plans`, `fit` or `policies`.
+
+    Raises:
+        PlanspaceError: it is damaged, or was written by a newer planspace.
+    """
+    data = read_description(file, kind=f"{kind} of a study", schema=SCHEMA)
+    with reject_malformed(file):
+        return result_from_json(kind, data)
 
 
 def execute(unit: Unit, out: Path) -> None:
@@ -95,32 +124,38 @@ def execute(unit: Unit, out: Path) -> None:
     resumed = folder.exists()
     make_folder(folder.parent)
     found = _RUN[unit.kind](unit, folder, out)
-    clock = {"seconds": round(time.monotonic() - began, 1), "cores": count_cores(), "resumed": resumed}
-    head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec, "versions": VERSIONS}
-    keep_result(unit, out, {**head, "found": found, **clock})
+    seconds = round(time.monotonic() - began, 1)
+    keep_result(unit, out, UnitResult(found, seconds, count_cores(), resumed, cpu_model()))
     write_bytes(folder / WHOLE, b"")
 
 
-def keep_result(unit: Unit, out: Path, result: dict[str, Any]) -> None:
-    """Writes a unit's result; one that is there, because its folder alone was made again, is kept.
+def keep_result(unit: Unit, out: Path, result: UnitResult) -> None:
+    """Write the result of a unit; if it is there because only the folder was made again, keep the old one.
 
     Raises:
-        PlanspaceError: what was made again is not what the result says: others were made with that.
+        PlanspaceError: the unit was made again and differs from its result, which other units depend on.
     """
     if not is_done(unit, out):
         make_folder(result_file(unit, out).parent)
-        write_sealed(result_file(unit, out), result, indent=None)
+        data = {
+            "schema": SCHEMA,
+            "kind": f"{unit.kind} of a study",
+            "unit": unit.spec,
+            "versions": VERSIONS,
+            **asdict(result),
+        }
+        write_sealed(result_file(unit, out), data, indent=None)
         return
-    before, now = (x["found"].get("hash") for x in (read_result(unit, out), result))
+    before, now = (getattr(x.found, "hash", "") for x in (read_result(unit, out), result))
     if before != now:
         raise PlanspaceError(
-            f"{unit.name} was made again and is not what it was: this machine or its libraries compute "
-            f"otherwise than where {result_file(unit, out).parent} comes from. Bring the folder "
+            f"{unit.name} was made again and differs from the first time: this machine or its libraries "
+            f"round differently from the one that made {result_file(unit, out).parent}. Copy the folder "
             f"{folder_of(unit, out)} from there, or choose another --out."
         )
 
 
-def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
+def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
     problem = load_problem(unit.problem)
     if unit.source == "2020":
         wound_plans(problem, folder, unit.num, unit.seed)
@@ -131,34 +166,34 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
     demos = load_demos(folder)
     ends = demos.states[demos.offsets[1:] - 1]
     _, space = demos.info.compile()
-    return {
-        "hash": demos.hash,
-        "count": len(demos),
-        "median_duration_s": float(np.median(demos.times[demos.offsets[1:] - 1])),
-        "reached": float(np.mean(space.distance(ends, demos.goals) <= problem.tolerance)),
-    }
+    return PlansResult(
+        count=len(demos),
+        median_duration_s=float(np.median(demos.times[demos.offsets[1:] - 1])),
+        reached=float(np.mean(space.distance(ends, demos.goals) <= problem.tolerance)),
+        hash=demos.hash,
+    )
 
 
-def _run_fit(unit: FitUnit, folder: Path, out: Path) -> dict[str, Any]:
+def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
     demos = load_demos(folder_of(unit.plans, out))
     embedding = fit(demos, folder, config=unit.config, num_seeds=unit.num_seeds, seed=unit.seed, split_seed=0)
     about = embedding.about
-    found = {
-        "hash": embedding.hash,
-        "seed": about["seed"],
-        "metrics": _rounded(about["metrics"]["test"]),
-        "raw_state": _rounded(about["metrics_raw_state"]),
-        "paths": _paths(embedding, demos),
-    }
-    if unit.config.objective.name == "pca":
-        return found  # it has a closed form
+    found = FitResult(
+        seed=about["seed"],
+        metrics=_rounded(about["metrics"]["test"]),
+        raw_state=_rounded(about["metrics_raw_state"]),
+        paths=_paths(embedding, demos),
+        hash=embedding.hash,
+    )
     rows = [row for row in read_log(folder) if "path_error" in row]
-    rows = [rows[i] for i in sorted({round(x) for x in np.linspace(0, len(rows) - 1, 100)})]
-    curves = {name: [_round_all(row[name], 4) for row in rows] for name in ("path_error", "bound")}
-    return {**found, "log_steps": [row["step"] for row in rows], **curves}
+    if not rows:  # a closed form, without training
+        return found
+    rows = [rows[i] for i in sorted({round(x) for x in np.linspace(0, len(rows) - 1, LOG_ROWS)})]
+    path_error, bound = (tuple(_round_all(row[name], 4) for row in rows) for name in ("path_error", "bound"))
+    return replace(found, log_steps=tuple(row["step"] for row in rows), path_error=path_error, bound=bound)
 
 
-def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> dict[str, Any]:
+def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
     embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
     history = train(unit.config, folder, embeddings)
     returns, steps = history["return"], history["steps"]
@@ -167,19 +202,27 @@ def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> dict[str, Any]:
     blocks = [returns[a:b].mean(axis=0) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
     best = load_policy(folder)
     _, played = play(best, 1, FILM_SEED)
-    return {
-        "embeddings": [embedding.hash for embedding in embeddings],
-        "seeds": list(unit.config.seeds),
-        "steps": [int(steps[stop - 1]) for stop in stops],
-        "returns": _round_all(blocks, 2),
-        "eval_steps": history["eval_steps"].tolist(),
-        "eval_returns": _round_all(history["eval_return"], 2),
-        "frozen": history["frozen"][-1].astype(bool).tolist(),
-        "film": {"seed": best.seed, **stick_film(played)},
-    }
+    film = stick_film(played)
+    return PoliciesResult(
+        seeds=tuple(unit.config.seeds),
+        steps=tuple(int(steps[stop - 1]) for stop in stops),
+        returns=tuple(_round_all(blocks, 2)),
+        frozen=tuple(history["frozen"][-1].astype(bool).tolist()),
+        eval_steps=tuple(history["eval_steps"].tolist()),
+        eval_returns=tuple(_round_all(history["eval_return"], 2)),
+        embeddings=tuple(embedding.hash for embedding in embeddings),
+        film=Film(best.seed, film.seconds, film.poses),
+    )
 
 
-def _paths(embedding: Embedding, demos: Demos) -> list[list[list[float]]]:
+def cpu_model() -> str:
+    """The model of this machine's CPU, or its architecture if the system does not say."""
+    lines = CPU_INFO.read_text().splitlines() if CPU_INFO.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _paths(embedding: Embedding, demos: Demos) -> tuple[Any, ...]:
     """Test demonstrations in z, on three principal components."""
     used = demos.select(embedding.inputs.names)
     test = embedding.about["split"]["test"][:PATHS]
@@ -187,7 +230,7 @@ def _paths(embedding: Embedding, demos: Demos) -> list[list[list[float]]]:
     z = [embedding.encode(used.states[part]) for part in rows]
     flat, _ = principal_components(np.concatenate(z), min(3, embedding.z_dim))
     parts = np.split(flat, np.cumsum([len(part) for part in z])[:-1])
-    return [_round_all(part, 3) for part in parts]
+    return tuple(_round_all(part, 3) for part in parts)
 
 
 def _some(num: int) -> np.ndarray:
@@ -205,7 +248,7 @@ def _round_all(numbers: Any, decimals: int) -> Any:
     return round(float(numbers), decimals) if np.isfinite(numbers) else None
 
 
-_RUN: dict[str, Callable[[Any, Path, Path], dict[str, Any]]] = {
+_RUN: dict[str, Callable[[Any, Path, Path], Found]] = {
     PlansUnit.kind: _run_plans,
     FitUnit.kind: _run_fit,
     PolicyUnit.kind: _run_policies,

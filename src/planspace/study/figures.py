@@ -14,6 +14,7 @@ from planspace.figures.learning_curves import MAX_BANDS, STYLES
 from planspace.figures.projection import principal_components
 from planspace.figures.style import COLOURMAP, COLOURS, time_left_scale
 from planspace.rl.learning_curve import Curve
+from planspace.study.tables import ArmRow
 
 Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the share of seeds that reached more than each."""
@@ -91,7 +92,7 @@ def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.fig
 
 
 def plot_reached(
-    reached: Mapping[str, np.ndarray], rows: Sequence[Mapping[str, Any]], title: str
+    reached: Mapping[str, np.ndarray], rows: Sequence[ArmRow], title: str
 ) -> matplotlib.figure.Figure:
     """What each arm's seeds reached, its mean, and how sure that is.
 
@@ -103,11 +104,11 @@ def plot_reached(
     figure = matplotlib.figure.Figure(figsize=(8, 1.6 + 0.36 * len(reached)), layout="constrained")
     axes = figure.subplots()
     for i, (x, row) in enumerate(zip(reached.values(), rows, strict=True)):
-        colour, (low, high) = COLOURS[i % len(COLOURS)], row["mean_interval"]
+        colour, (low, high) = COLOURS[i % len(COLOURS)], row.mean_interval
         spread = np.linspace(-0.22, 0.22, len(x)) if len(x) > 1 else np.zeros(1)
         axes.plot(x, i + spread, ".", color=colour, alpha=0.4, markersize=4)
         axes.plot([low, high], [i, i], color=colour, linewidth=2.5)
-        axes.plot(row["mean"], i, "D", color=colour, markersize=6, markeredgecolor="white")
+        axes.plot(row.mean, i, "D", color=colour, markersize=6, markeredgecolor="white")
     axes.set_yticks(range(len(reached)), labels=list(reached))
     axes.invert_yaxis()
     axes.set_xlabel("mean return at the end of training: seeds, their mean, its 95 % interval")

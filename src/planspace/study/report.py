@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,10 @@ from planspace.figures.learning_curves import MAX_BANDS, plot_curves
 from planspace.figures.style import save_figure
 from planspace.figures.training_curves import plot_training
 from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
-from planspace.storage.checks import CONFIG
 from planspace.storage.files import make_folder, write_bytes
-from planspace.storage.json_files import read_json
+from planspace.storage.json_files import write_json
 from planspace.study import stats
 from planspace.study.design import Arm
-from planspace.study.execute import KEPT_EVERY
 from planspace.study.figures import (
     Profile,
     interactive_curves,
@@ -30,8 +28,11 @@ from planspace.study.figures import (
     plot_reached,
     plot_spaces,
 )
+from planspace.study.findings import Findings, named_fits
 from planspace.study.html import embedded, write_page
-from planspace.study.summary import Findings, named_fits, summarise
+from planspace.study.summary import ABOUT, folder_of_study, summarise
+from planspace.study.tables import ArmRow, StudySummary
+from planspace.study.tidy import FILE, write_tidy
 from planspace.study.unit import FitUnit
 
 SPACES = "demonstrations-in-z"
@@ -41,8 +42,8 @@ MAX_SPACES = 8
 THRESHOLDS = 200
 
 
-def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
-    """Writes `DIR/STUDY-BUDGET/`: report.html, tables.json, tables.md and figures, of what is done so far.
+def write_report(findings: Findings, out: Path) -> tuple[StudySummary, Path]:
+    """Write `DIR/STUDY-BUDGET/`: report.html, tables.md, tables.json, results.csv and figures.
 
     Args:
         findings: what is known of the study.
@@ -58,16 +59,20 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
     if not findings.scores:
         raise PlanspaceError(f"no arm of study {study.name} has been run in {out} yet.")
     summary = summarise(findings)
-    folder = make_folder(out / f"{study.name}-{study.budget}")
+    folder = make_folder(folder_of_study(study, out))
     figures = make_folder(folder / "figures")
-    write_bytes(folder / "tables.json", (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    tables = json.dumps(asdict(summary), indent=1, allow_nan=False) + "\n"
+    write_bytes(folder / "tables.json", tables.encode())
+    if any(scores.reached is None for scores in findings.scores.values()):  # else this is what was read
+        write_tidy(findings, folder / FILE)
+        write_json(folder / ABOUT, _about(findings))
     panels = []
     for panel, arms in findings.panels().items():
         curves = {arm.label: _curve(findings, arm) for arm in arms}
         reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
         profiles = _profiles(reached)
-        rows = summary["panels"][panel]
-        title = f"{panel}: {_seeds(rows)} seeds of {summary['steps'] / 1e6:g} M steps"
+        rows = summary.panels[panel]
+        title = f"{panel}: {_seeds(rows)} seeds of {summary.steps / 1e6:g} M steps"
         save_figure(plot_curves(curves, title), figures, slug(panel))
         save_figure(plot_reached(reached, rows, title), figures, f"{slug(panel)}-reached")
         save_figure(plot_profiles(profiles, title), figures, f"{slug(panel)}-profile")
@@ -78,7 +83,7 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
                 "rows": rows,
                 "curves": embedded(interactive_curves(curves)),
                 "profiles": embedded(interactive_profiles(profiles)),
-                "films": [_film(findings, arm) for arm in arms],
+                "films": [film for arm in arms if (film := _film(findings, arm))],
             }
         )
     spaces = _spaces(findings)
@@ -87,7 +92,7 @@ def write_report(findings: Findings, out: Path) -> tuple[dict[str, Any], Path]:
     content = dict(
         summary=summary,
         study=study,
-        versions=read_json(out / CONFIG)["versions"],
+        versions=findings.versions,
         panels=panels,
         spaces_figure=SPACES,
         final_steps=stats.FINAL_STEPS,
@@ -113,14 +118,20 @@ def slug(name: str) -> str:
 
 def _curve(findings: Findings, arm: Arm) -> Curve:
     scores = findings.scores[arm.name]
-    rows_are = KEPT_EVERY if len(scores.steps) * KEPT_EVERY == arm.units[0].config.iterations else 1
+    iterations_a_row = max(1, round(arm.units[0].config.iterations / len(scores.steps)))
     history = {"steps": scores.steps, "return": scores.returns}
-    return learning_curve(history, max(1, SMOOTHING // rows_are))
+    return learning_curve(history, max(1, SMOOTHING // iterations_a_row))
 
 
-def _seeds(rows: list[dict[str, Any]]) -> str:
-    """How many an arm has: 15, or 15 to 75."""
-    counts = [row["seeds"] for row in rows]
+def _about(findings: Findings) -> dict[str, Any]:
+    study = findings.study
+    names = {"study": study.name, "budget": study.budget, "only": list(study.parts)}
+    return {**names, "command": study.command, "versions": dict(findings.versions)}
+
+
+def _seeds(rows: list[ArmRow]) -> str:
+    """The number of seeds of an arm: 15, or 15 to 75."""
+    counts = [row.seeds for row in rows]
     return f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
 
 
@@ -131,11 +142,15 @@ def _profiles(reached: dict[str, np.ndarray]) -> dict[str, Profile]:
     return {label: (thresholds, stats.profile(x, thresholds)) for label, x in reached.items()}
 
 
-def _film(findings: Findings, arm: Arm) -> dict[str, Any]:
-    """The best seed's episode of the block that ended best."""
-    found = [findings.found(unit) for unit in arm.units if unit.name in findings.results]
-    best = max(found, key=lambda result: max(_number(x) for x in result["eval_returns"][-1]))
-    return {"label": arm.label, **best["film"]}
+def _film(findings: Findings, arm: Arm) -> dict[str, Any] | None:
+    """The episode of the best seed, of the block whose evaluation ended best; None if no film is kept."""
+    found = [findings.policies(unit) for unit in arm.units if findings.done(unit)]
+    found = [result for result in found if result.film is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda result: max(_number(x) for x in result.eval_returns[-1]))
+    assert best.film is not None
+    return {"label": arm.label, **asdict(best.film)}
 
 
 def _number(x: float | None) -> float:
@@ -146,22 +161,20 @@ def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
     """The curves of embeddings that were chosen among several seeds, as the paper shows them."""
     shown = []
     for name, unit in named_fits(findings).items():
-        found = findings.found(unit)
-        if unit.num_seeds < 2 or "bound" not in found:
+        found = findings.fit(unit)
+        if unit.num_seeds < 2 or not found.bound:
             continue
-        columns = zip(found["log_steps"], found["path_error"], found["bound"], strict=True)
+        columns = zip(found.log_steps, found.path_error, found.bound, strict=True)
         rows = [LogRow(step=step, path_error=error, bound=bound) for step, error, bound in columns]
         title, file = f"{name}, z of {unit.config.z_dim} numbers", f"training-{slug(name)}"
-        save_figure(plot_training(rows, found["seed"] - unit.seed, title=title), figures, file)
+        save_figure(plot_training(rows, found.seed - unit.seed, title=title), figures, file)
         shown.append(
             {
                 "name": title,
                 "file": file,
-                "kept": f"seed {found['seed'] - unit.seed}",
-                "path_error": embedded(
-                    interactive_training(found["log_steps"], found["path_error"], "path error")
-                ),
-                "bound": embedded(interactive_training(found["log_steps"], found["bound"], "bound [nats]")),
+                "kept": f"seed {found.seed - unit.seed}",
+                "path_error": embedded(interactive_training(found.log_steps, found.path_error, "path error")),
+                "bound": embedded(interactive_training(found.log_steps, found.bound, "bound [nats]")),
             }
         )
     return shown
@@ -175,4 +188,5 @@ def _spaces(findings: Findings) -> dict[str, Any]:
         _, known = kinds.get(kind, (name, unit))
         if kind not in kinds or unit.plans.num > known.plans.num:
             kinds[kind] = name, unit
-    return {name: findings.found(unit)["paths"] for name, unit in list(kinds.values())[:MAX_SPACES]}
+    shown = {name: findings.fit(unit).paths for name, unit in list(kinds.values())[:MAX_SPACES]}
+    return {name: paths for name, paths in shown.items() if paths}

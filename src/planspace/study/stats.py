@@ -8,9 +8,9 @@ beats one of another, and what is put together over tasks, takes seeds for indep
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 
 from planspace.errors import PlanspaceError
 from planspace.study.design import Arm, Claim, Measure
+from planspace.study.results import PoliciesResult
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
@@ -33,65 +34,97 @@ VISIBLE_RATIO = {15: 1.73, 30: 1.45, 50: 1.33, 75: 1.26, 100: 1.22}
 Interval = tuple[float, float]
 
 
+class Reached(NamedTuple):
+    """Numbers of each seed, computed from all rows of its training."""
+
+    final: Float[np.ndarray, " seed"]
+    early: Float[np.ndarray, " seed"]
+    whole: Float[np.ndarray, " seed"]
+    steps_to_solved: Float[np.ndarray, " seed"]
+    """Infinite if a seed never solved its task."""
+
+
 @dataclass(frozen=True)
 class Scores:
-    """The seeds of an arm, as far as they have been run."""
+    """The seeds of an arm that have been run so far."""
 
     seeds: tuple[int, ...]
     steps: Int[np.ndarray, " row"]
-    """Environment steps a seed at the end of each row."""
+    """Environment steps of a seed at the end of each row."""
     returns: Float[np.ndarray, "row seed"]
     """Mean return of the iterations of each row."""
     num_embeddings: int
-    """How many embeddings the seeds take in turn; seeds of one embedding are equal modulo this."""
-    frozen: int
-    """Seeds that diverged."""
+    """Number of embeddings that the seeds take in turn; seeds of one embedding are equal modulo this."""
+    diverged: tuple[bool, ...] = ()
+    """Whether each seed diverged."""
+    evaluation: Float[np.ndarray, " seed"] | None = None
+    """Mean return of each seed's last evaluation."""
+    reached: Reached | None = None
+    """Given if `returns` has fewer rows than the training had."""
 
     @classmethod
-    def of(cls, arm: Arm, found: Sequence[dict[str, Any]]) -> "Scores":
-        """Puts the blocks of an arm together, in the order of their seeds.
+    def of(cls, arm: Arm, found: Sequence[PoliciesResult]) -> "Scores":
+        """Join the blocks of an arm, in the order of their seeds.
 
         Raises:
-            PlanspaceError: two blocks were run for other numbers of steps, or hold the same seed.
+            PlanspaceError: two blocks have different numbers of steps, or contain the same seed.
         """
-        found = sorted(found, key=lambda result: result["seeds"][0])
-        seeds = tuple(seed for result in found for seed in result["seeds"])
-        if len(set(seeds)) < len(seeds) or len({tuple(result["steps"]) for result in found}) > 1:
+        found = sorted(found, key=lambda result: result.seeds[0])
+        seeds = tuple(seed for result in found for seed in result.seeds)
+        if len(set(seeds)) < len(seeds) or len({result.steps for result in found}) > 1:
             raise PlanspaceError(f"the blocks of {arm.name} do not fit together.")
+        last = [result.eval_returns[-1] if result.eval_returns else [] for result in found]
+        evaluation = np.array([np.nan if x is None else x for block in last for x in block], dtype=float)
         return cls(
             seeds,
-            np.array(found[0]["steps"]),
-            np.concatenate([np.array(result["returns"], dtype=float) for result in found], axis=1),
+            np.array(found[0].steps),
+            np.concatenate([np.array(result.returns, dtype=float) for result in found], axis=1),
             arm.num_embeddings,
-            sum(sum(result["frozen"]) for result in found),
+            tuple(x for result in found for x in result.frozen),
+            evaluation if len(evaluation) == len(seeds) else None,
         )
 
     def of_seeds(self, seeds: Sequence[int]) -> "Scores":
-        """Those of some seeds."""
+        """The scores of some of the seeds."""
         columns = [self.seeds.index(seed) for seed in seeds]
-        return Scores(tuple(seeds), self.steps, self.returns[:, columns], self.num_embeddings, self.frozen)
+        return replace(
+            self,
+            seeds=tuple(seeds),
+            returns=self.returns[:, columns],
+            diverged=tuple(self.diverged[i] for i in columns) if self.diverged else (),
+            evaluation=None if self.evaluation is None else self.evaluation[columns],
+            reached=None if self.reached is None else Reached(*(x[columns] for x in self.reached)),
+        )
 
 
 # --- one number a seed ----------------------------------------------------------------------------------
 
 
 def final(scores: Scores) -> Float[np.ndarray, " seed"]:
-    """What each seed reached: its mean return over the last `FINAL_STEPS`."""
+    """Final return of each seed: its mean return over the last `FINAL_STEPS`."""
+    if scores.reached is not None:
+        return scores.reached.final
     return _mean_between(scores, 1.0 - min(FINAL_STEPS / scores.steps[-1], FINAL_SHARE), 1.0)
 
 
 def early(scores: Scores) -> Float[np.ndarray, " seed"]:
-    """Its mean return over the first quarter of the training."""
+    """Mean return of each seed over the first quarter of the training."""
+    if scores.reached is not None:
+        return scores.reached.early
     return _mean_between(scores, 0.0, EARLY_SHARE)
 
 
 def whole(scores: Scores) -> Float[np.ndarray, " seed"]:
-    """Its mean return over all of it: the area under its curve, a step."""
+    """Mean return of each seed over the whole training: the area under its curve divided by the steps."""
+    if scores.reached is not None:
+        return scores.reached.whole
     return _mean_between(scores, 0.0, 1.0)
 
 
 def steps_to(scores: Scores, threshold: float, window: int = 2) -> Float[np.ndarray, " seed"]:
-    """Steps until the mean of `window` rows is first above a threshold; infinite where it never is."""
+    """Steps until the mean of `window` rows is first above a threshold; infinite for a seed that never is."""
+    if scores.reached is not None:
+        return scores.reached.steps_to_solved
     summed = np.cumsum(np.insert(scores.returns, 0, 0.0, axis=0), axis=0)
     width = min(window, len(scores.returns))
     above = (summed[width:] - summed[:-width]) / width > threshold
@@ -125,7 +158,7 @@ def best(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
     return np.asarray(np.sort(x, axis=-1)[..., -NUM_BEST:].mean(axis=-1))
 
 
-def log_deviation(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
+def log_std(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
     """Logarithm of the deviation over seeds; of one seed, or of seeds all alike, of a billionth."""
     return np.asarray(np.log(np.maximum(np.std(x, axis=-1, ddof=min(1, x.shape[-1] - 1)), 1e-9)))
 
@@ -197,7 +230,7 @@ def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[
     return float(np.sqrt(max(between - within / size, 0.0))), float(np.sqrt(within))
 
 
-def deviation_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
+def log_std_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
     """Logarithm of the deviation over seeds of `base` over that of `scores`, which have the same seeds."""
     return _compare("spread", scores, base)
 
@@ -265,8 +298,8 @@ _MEASURES: dict[Measure, tuple[Callable[[Scores], np.ndarray], Callable[[np.ndar
     "early": (early, mean, 1),
     "whole": (whole, mean, 1),
     "best": (final, best, 1),
-    "spread": (final, log_deviation, -1),  # less spread is what is claimed
-    "early_spread": (early, log_deviation, -1),
+    "spread": (final, log_std, -1),  # less spread is what is claimed
+    "early_spread": (early, log_std, -1),
 }
 """A number of each seed, what is made of them, and which way is up."""
 

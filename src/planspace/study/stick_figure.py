@@ -1,6 +1,6 @@
 """An episode as a stick figure: lines that a page can draw and move without a film."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,7 +13,16 @@ LONG = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 """Shapes that are drawn as their axis; boxes as their longest, all others as a point."""
 
 
-def stick_film(demos: Demos) -> dict[str, Any]:
+class StickFilm(NamedTuple):
+    """An episode as a stick figure."""
+
+    seconds: float
+    """Time between two poses."""
+    poses: tuple[Any, ...]
+    """[pose][line] as x0, y0, x1, y1 in mm."""
+
+
+def stick_film(demos: Demos) -> StickFilm:
     """The first episode, flat: on the two axes of the world along which its robot moves most.
 
     Returns:
@@ -33,10 +42,8 @@ def stick_film(demos: Demos) -> dict[str, Any]:
     spread = lines.reshape(-1, 3).std(axis=0)
     axes = sorted(np.argsort(-spread)[:2])
     flat = np.round(1000 * lines[..., axes]).astype(int)
-    return {
-        "seconds": round(float(episode.times[-1]) / max(len(which) - 1, 1), 4),
-        "poses": flat.reshape(*flat.shape[:2], 4).tolist(),
-    }
+    seconds = round(float(episode.times[-1]) / max(len(which) - 1, 1), 4)
+    return StickFilm(seconds, tuple(flat.reshape(*flat.shape[:2], 4).tolist()))
 
 
 def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:

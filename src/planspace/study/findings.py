@@ -1,0 +1,69 @@
+"""What is known of a study: the results of its units and the returns of its arms, seed by seed.
+
+They come from the units (`DIR/units`) or, if those are not there, from the study's table of results
+(`DIR/STUDY-BUDGET/results.csv`), so that a report can be written on any machine.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import cast
+
+from planspace.study.design import Arm, Study
+from planspace.study.results import FitResult, Found, PlansResult, PoliciesResult, UnitResult
+from planspace.study.stats import Scores
+from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is known of a study."""
+
+    study: Study
+    results: Mapping[str, UnitResult]
+    """The result of each finished unit, by the unit's name."""
+    scores: Mapping[str, Scores]
+    """The seeds that have been run of each arm, by the arm's name."""
+    versions: Mapping[str, str]
+    """Versions of planspace and its libraries that the units were run with."""
+
+    def panels(self) -> dict[str, list[Arm]]:
+        """The arms with scores, by figure."""
+        panels: dict[str, list[Arm]] = {}
+        for arm in self.study.arms:
+            if arm.name in self.scores:
+                panels.setdefault(arm.panel, []).append(arm)
+        return panels
+
+    def done(self, unit: Unit) -> bool:
+        """Whether a unit is finished."""
+        return unit.name in self.results
+
+    def plans(self, unit: PlansUnit) -> PlansResult:
+        """The demonstrations of a finished unit."""
+        return cast(PlansResult, self._found(unit))
+
+    def fit(self, unit: FitUnit) -> FitResult:
+        """The embedding of a finished unit."""
+        return cast(FitResult, self._found(unit))
+
+    def policies(self, unit: PolicyUnit) -> PoliciesResult:
+        """The policies of a finished unit."""
+        return cast(PoliciesResult, self._found(unit))
+
+    def _found(self, unit: Unit) -> Found:
+        return self.results[unit.name].found
+
+
+def named_fits(findings: Findings) -> dict[str, FitUnit]:
+    """The finished embeddings, each named by the first arm that uses it and by its seed."""
+    named: dict[str, FitUnit] = {}
+    seen: set[str] = set()
+    for arm in findings.study.arms:
+        for fit in arm.units[0].fits:
+            if findings.done(fit) and fit.name not in seen:
+                seen.add(fit.name)
+                label = f"{fit.plans.problem}: {arm.label}"
+                several = len(arm.units[0].fits) > 1
+                name = f"{label}, seed {fit.seed}" if several else label
+                named[name if name not in named else f"{name} ({arm.panel})"] = fit
+    return named

@@ -1,0 +1,305 @@
+"""The results of a study as one tidy table: `results.csv`, a number a row.
+
+Columns: `study`, `arm`, `seed`, `embedding`, `step`, `metric`, `value`; of timings also `command` and `cpu`.
+Cells that do not apply are empty. The tables, claims and curves of a study can be computed from its
+`results.csv`; demonstrations in z and films cannot: they are only in the units.
+
+| metric | of | value |
+|---|---|---|
+| `return` | seed, step | mean return of the episodes since the last row's step |
+| `final_return`, `early_return`, `whole_return` | seed | mean at the end, in the first quarter, in all |
+| `steps_to_solved` | seed | environment steps until it solved the task; no row if it never did |
+| `evaluation_return` | seed | mean return of its last evaluation |
+| `diverged` | seed | 1; no row if it did not diverge |
+| `training_path_error`, `training_bound` | seed, embedding, step | during the training of the embedding |
+| `straightness`, ... | seed, embedding | geometry on test demonstrations; the seed is the selected one |
+| `plans_count`, `plans_reached`, `plans_median_duration_s` | embedding | its demonstrations |
+| `..._core_seconds` | | time of a unit: of plans, of an embedding, of policies of five seeds |
+"""
+
+import csv
+import io
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from planspace.errors import PlanspaceError
+from planspace.storage.checks import reject_malformed
+from planspace.storage.files import read_bytes, write_bytes
+from planspace.study import stats
+from planspace.study.design import Arm, Study, solved_level
+from planspace.study.findings import Findings
+from planspace.study.results import FitResult, PlansResult, PoliciesResult, UnitResult
+from planspace.study.stats import Reached, Scores
+from planspace.study.unit import FitUnit, PlansUnit, Unit
+
+FILE = "results.csv"
+POINTS = 25
+"""Points of a learning curve that are kept; the numbers of the tables are computed from all of them."""
+LOG_POINTS = 20
+"""Points of the curves of an embedding's training."""
+PLANS_TIME, FIT_TIME, POLICIES_TIME = "plans_core_seconds", "embedding_core_seconds", "policies_core_seconds"
+TRAINING = {"path_error": "training_path_error", "bound": "training_bound"}
+PLANS_METRICS = ("count", "reached", "median_duration_s")
+
+
+class Row(NamedTuple):
+    """A row of the table; None is an empty cell."""
+
+    study: str
+    arm: str
+    seed: int | None
+    embedding: int | None
+    """Index of the embedding among those that the seeds of the arm take in turn."""
+    step: int | None
+    metric: str
+    value: float
+    command: str = ""
+    cpu: str = ""
+
+
+def write_tidy(findings: Findings, path: Path, points: Mapping[str, int] | None = None) -> None:
+    """Write the table of a study.
+
+    Args:
+        findings: what is known of the study.
+        path: the file.
+        points: points of each learning curve that are kept, by panel; `POINTS` if not given.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Row._fields)
+    for row in _rows(findings, points or {}):
+        cells = row._asdict() | {"value": _number(row.value)}
+        writer.writerow("" if cell is None else cell for cell in cells.values())
+    write_bytes(path, text.getvalue().encode())
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read a table.
+
+    Raises:
+        PlanspaceError: the file is missing, or is not such a table.
+    """
+    with reject_malformed(path):
+        lines = csv.reader(io.StringIO(read_bytes(path).decode()))
+        if tuple(next(lines)) != Row._fields:
+            raise PlanspaceError(f"{path} is not a table of results: its columns must be {Row._fields}.")
+        return [
+            Row(study, arm, _whole(seed), _whole(embedding), _whole(step), metric, float(value), *timing)
+            for study, arm, seed, embedding, step, metric, value, *timing in lines
+        ]
+
+
+def read_tidy(study: Study, path: Path, versions: Mapping[str, str]) -> Findings:
+    """Read what is known of a study from its table.
+
+    Args:
+        study: the study, or some of its arms.
+        path: the file.
+        versions: versions that the units were run with.
+
+    Raises:
+        PlanspaceError: the file is missing, or is not such a table.
+    """
+    by_arm: defaultdict[str, list[Row]] = defaultdict(list)
+    for row in read_rows(path):
+        by_arm[row.arm].append(row)
+    with reject_malformed(path):
+        found = {arm.name: _scores(arm, rows) for arm in study.arms if (rows := by_arm.get(arm.name))}
+        scores = {name: x for name, x in found.items() if x.seeds}
+        results: dict[str, UnitResult] = {}
+        for arm in study.arms:
+            results = dict(_unit_results(arm, by_arm[arm.name], scores.get(arm.name))) | results
+    return Findings(study, results, scores, versions)
+
+
+# --- writing --------------------------------------------------------------------------------------------
+
+
+def _rows(findings: Findings, points: Mapping[str, int]) -> Iterator[Row]:
+    written: set[str] = set()
+    for arm in findings.study.arms:
+        for metric, index, unit in _needs(arm):
+            if unit.name not in written and findings.done(unit):
+                written.add(unit.name)
+                head = Row(findings.study.name, arm.name, None, index, None, metric, 0.0)
+                yield from (
+                    _fit_rows(head, findings, unit)
+                    if isinstance(unit, FitUnit)
+                    else _plans_rows(head, findings, unit)
+                )
+                yield from _time_rows(head, findings, unit)
+        if scores := findings.scores.get(arm.name):
+            yield from _policy_rows(findings.study.name, arm, scores, points.get(arm.panel, POINTS))
+        for unit in arm.units:
+            if unit.name not in written and findings.done(unit):
+                written.add(unit.name)
+                head = Row(findings.study.name, arm.name, unit.config.seed, None, None, POLICIES_TIME, 0.0)
+                yield from _time_rows(head, findings, unit)
+
+
+def _needs(arm: Arm) -> Iterator[tuple[str, int, PlansUnit | FitUnit]]:
+    """The metric of the time, the index of the embedding, and the unit."""
+    for index, fit in enumerate(arm.units[0].fits):
+        yield PLANS_TIME, index, fit.plans
+        yield FIT_TIME, index, fit
+
+
+def _policy_rows(study: str, arm: Arm, scores: Scores, points: int) -> Iterator[Row]:
+    level = solved_level(arm)
+    never = np.full(len(scores.seeds), np.inf)
+    of_seeds = {
+        "final_return": stats.final(scores),
+        "early_return": stats.early(scores),
+        "whole_return": stats.whole(scores),
+        "steps_to_solved": never if level is None else stats.steps_to(scores, level),
+        "evaluation_return": never if scores.evaluation is None else scores.evaluation,
+    }
+    end = int(scores.steps[-1])
+    of_embedding = [seed % arm.num_embeddings if arm.num_embeddings else None for seed in scores.seeds]
+    for seed, embedding, frozen in zip(scores.seeds, of_embedding, scores.diverged, strict=True):
+        if frozen:
+            yield Row(study, arm.name, seed, embedding, end, "diverged", 1.0)
+    for metric, values in of_seeds.items():
+        for seed, embedding, value in zip(scores.seeds, of_embedding, values, strict=True):
+            if np.isfinite(value):
+                yield Row(study, arm.name, seed, embedding, end, metric, float(value))
+    for step, returns in _thinned(scores, points):
+        for seed, embedding, value in zip(scores.seeds, of_embedding, returns, strict=True):
+            yield Row(study, arm.name, seed, embedding, step, "return", float(f"{value:.4g}"))
+
+
+def _thinned(scores: Scores, points: int) -> Iterator[tuple[int, np.ndarray]]:
+    """The step and the mean returns since the last step, of about this many points."""
+    every = max(1, -(-len(scores.steps) // points))
+    lengths = np.diff(scores.steps, prepend=0)
+    for start in range(0, len(scores.steps), every):
+        part = slice(start, start + every)
+        yield int(scores.steps[part][-1]), np.average(scores.returns[part], axis=0, weights=lengths[part])
+
+
+def _fit_rows(head: Row, findings: Findings, unit: FitUnit) -> Iterator[Row]:
+    found = findings.fit(unit)
+    for metric, value in found.metrics.items():
+        if value is not None:
+            yield head._replace(seed=found.seed, metric=metric, value=value)
+    if unit.num_seeds < 2 or not found.log_steps:
+        return
+    which = sorted({round(x) for x in np.linspace(0, len(found.log_steps) - 1, LOG_POINTS)})
+    for name, metric in TRAINING.items():
+        for i in which:
+            for k, value in enumerate(getattr(found, name)[i]):
+                if value is not None:
+                    step = found.log_steps[i]
+                    yield head._replace(seed=unit.seed + k, step=step, metric=metric, value=value)
+
+
+def _plans_rows(head: Row, findings: Findings, unit: PlansUnit) -> Iterator[Row]:
+    found = findings.plans(unit)
+    for name in PLANS_METRICS:
+        yield head._replace(metric=f"plans_{name}", value=getattr(found, name))
+
+
+def _time_rows(head: Row, findings: Findings, unit: Unit) -> Iterator[Row]:
+    result = findings.results[unit.name]
+    if not result.resumed:
+        yield head._replace(value=result.core_seconds, command=findings.study.command, cpu=result.cpu)
+
+
+def _number(value: float) -> str:
+    """The shortest text with six decimals at most: 12, -236.41."""
+    return np.format_float_positional(round(value, 6) + 0.0, trim="-")
+
+
+# --- reading --------------------------------------------------------------------------------------------
+
+
+def _scores(arm: Arm, rows: Sequence[Row]) -> Scores:
+    values: defaultdict[str, dict[int, float]] = defaultdict(dict)
+    curve: defaultdict[int, dict[int, float]] = defaultdict(dict)
+    for row in rows:
+        if row.metric == "return" and row.step is not None and row.seed is not None:
+            curve[row.step][row.seed] = row.value
+        elif row.seed is not None:
+            values[row.metric][row.seed] = row.value
+    wanted = {seed for unit in arm.units for seed in unit.config.seeds}
+    seeds = tuple(seed for seed in values["final_return"] if seed in wanted)
+
+    def of_seeds(metric: str, missing: float = np.nan) -> np.ndarray:
+        return np.array([values[metric].get(seed, missing) for seed in seeds])
+
+    return Scores(
+        seeds,
+        np.array(sorted(curve)),
+        np.array([[curve[step][seed] for seed in seeds] for step in sorted(curve)]),
+        arm.num_embeddings,
+        tuple(bool(x) for x in of_seeds("diverged", 0.0)),
+        of_seeds("evaluation_return"),
+        Reached(
+            of_seeds("final_return"),
+            of_seeds("early_return"),
+            of_seeds("whole_return"),
+            of_seeds("steps_to_solved", np.inf),
+        ),
+    )
+
+
+def _unit_results(arm: Arm, rows: Sequence[Row], scores: Scores | None) -> Iterator[tuple[str, UnitResult]]:
+    times = {
+        (row.metric, row.embedding, row.seed): row for row in rows if row.metric.endswith("_core_seconds")
+    }
+    for metric, index, unit in _needs(arm):
+        own = [row for row in rows if row.embedding == index]
+        if isinstance(unit, FitUnit):
+            found = _fit_result(unit, [row for row in own if not row.metric.startswith("plans_")])
+        else:
+            found = _plans_result(own)
+        if found is not None:
+            yield unit.name, _timed(found, times.get((metric, index, None)))
+    seeds = scores.seeds if scores else ()
+    for unit in arm.units:
+        if set(unit.config.seeds) <= set(seeds):
+            found = PoliciesResult(tuple(unit.config.seeds), (), (), ())
+            yield unit.name, _timed(found, times.get((POLICIES_TIME, None, unit.config.seed)))
+
+
+def _timed(found: PlansResult | FitResult | PoliciesResult, time: Row | None) -> UnitResult:
+    if time is None:
+        return UnitResult(found, 0.0, 1, resumed=True)
+    return UnitResult(found, time.value, 1, cpu=time.cpu)
+
+
+def _fit_result(unit: FitUnit, rows: Sequence[Row]) -> FitResult | None:
+    metrics = [row for row in rows if row.seed is not None and row.step is None]
+    if not metrics:
+        return None
+    curves: dict[str, tuple[list[float | None], ...]] = {}
+    steps: list[int] = []
+    for name, metric in TRAINING.items():
+        values = {(row.step, row.seed): row.value for row in rows if row.metric == metric}
+        steps = sorted({step for step, _ in values if step is not None})
+        seeds = range(unit.seed, unit.seed + unit.num_seeds)
+        curves[name] = tuple([values.get((step, seed)) for seed in seeds] for step in steps)
+    return FitResult(
+        seed=metrics[0].seed or 0,
+        metrics={row.metric: row.value for row in metrics},
+        log_steps=tuple(steps),
+        path_error=curves["path_error"],
+        bound=curves["bound"],
+    )
+
+
+def _plans_result(rows: Sequence[Row]) -> PlansResult | None:
+    found = {row.metric: row.value for row in rows if row.metric.startswith("plans_")}
+    if "plans_count" not in found:
+        return None
+    count, reached, duration = (found[f"plans_{name}"] for name in PLANS_METRICS)
+    return PlansResult(count=int(count), reached=reached, median_duration_s=duration)
+
+
+def _whole(text: str) -> int | None:
+    return int(text) if text else None
