@@ -8,6 +8,7 @@ from planspace.rl.config import TrainConfig
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import read_result
 from planspace.study.pool import LocalPool
+from planspace.study.results import Found
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
@@ -40,5 +41,5 @@ def run_alone(unit: Unit, out: Path) -> None:
     assert list(ended) == [(unit, None)]
 
 
-def what_was_found(study: Study, out: Path) -> dict[str, dict]:
-    return {unit.name: read_result(unit, out)["found"] for unit in study.units}
+def what_was_found(study: Study, out: Path) -> dict[str, Found]:
+    return {unit.name: read_result(unit, out).found for unit in study.units}

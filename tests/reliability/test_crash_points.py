@@ -20,6 +20,7 @@ from planspace.rl.saved_policy import load_policy, save_policies
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint
 from planspace.storage.rows import append_rows, is_row
 from planspace.study.execute import _RUN, execute, is_done, read_result
+from planspace.study.results import Found, PlansResult
 from planspace.study.run import open_results
 from planspace.study.unit import PlansUnit
 
@@ -136,8 +137,8 @@ def study_unit(demos: Demos) -> Artefact:
         open_results(root / "study")
         execute(unit, root / "study")
 
-    def read(root: Path) -> dict[str, Any] | None:
-        return read_result(unit, root / "study")["found"] if is_done(unit, root / "study") else None
+    def read(root: Path) -> Found | None:
+        return read_result(unit, root / "study").found if is_done(unit, root / "study") else None
 
     return Artefact(lambda root: None, change, read)
 
@@ -146,13 +147,13 @@ def study_unit(demos: Demos) -> Artefact:
 def plan_at_once(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plans of a unit are there already, and are committed in two shards."""
 
-    def run(unit: PlansUnit, folder: Path, out: Path) -> dict[str, Any]:
+    def run(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
         dataset = DemoFolder(folder, demos.info, {"seed": unit.seed})
         for index in range(dataset.next_index, unit.num, unit.num // 2):
             to = index + unit.num // 2
             append_rows(folder / "log.jsonl", [{"planned": to}], key="planned")
             dataset.append([demos.episode(i) for i in range(index, to)], next_index=to)
-        return {"hash": load_demos(folder).hash, "count": dataset.num_episodes}
+        return PlansResult(dataset.num_episodes, 1.0, 1.0, load_demos(folder).hash)
 
     monkeypatch.setitem(_RUN, "plans", run)
 

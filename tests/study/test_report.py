@@ -103,7 +103,7 @@ def test_every_figure_and_table_is_there_as_a_file(page: Path) -> None:
     assert [claim["verdict"] for claim in tables["claims"]] == ["holds", "holds", "not run yet"]
     (panel,) = tables["panels"].values()
     assert [row["seeds"] for row in panel] == [10, 10, 10]
-    assert [row["frozen"] for row in panel] == [2, 2, 2]
+    assert [row["diverged"] for row in panel] == [2, 2, 2]
     assert panel[1]["solved"] == 1.0 and panel[2]["solved"] is None  # a sparse return has no level
     assert panel[1]["improvement"][0] == 1.0 and panel[1]["components"] is not None
     markdown = (page.parent / "tables.md").read_text()

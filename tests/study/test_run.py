@@ -16,15 +16,17 @@ from planspace.demos.folder import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
-from planspace.storage.json_files import write_sealed
+from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.study import run as module
 from planspace.study.design import Arm, Claim
 from planspace.study.execute import folder_of, is_done, read_result, result_file
+from planspace.study.findings import Findings
 from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
 from planspace.study.stats import Scores
-from planspace.study.summary import Findings, as_text, read_findings, summarise
+from planspace.study.summary import read_findings, summarise
+from planspace.study.tables import as_text
 from planspace.study.unit import PolicyUnit, Unit
 from planspace.tasks.problem_file import load_problem
 from planspace.workers import WORKER_ENVIRONMENT, count_cores
@@ -42,15 +44,15 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 
 def test_every_unit_leaves_its_result(finished: Path) -> None:
     found = what_was_found(TINY, finished)
-    assert found[PLANS.name]["count"] == 12 and found[PLANS.name]["reached"] == 1.0
+    assert found[PLANS.name].count == 12 and found[PLANS.name].reached == 1.0
     fit = found[FIT.name]
-    assert fit["seed"] in (0, 1) and len(fit["bound"][0]) == 2 and len(fit["paths"][0][0]) == 3
+    assert fit.seed in (0, 1) and len(fit.bound[0]) == 2 and len(fit.paths[0][0]) == 3
     for arm in TINY.arms:
         for unit in arm.units:
             result = found[unit.name]
-            assert result["seeds"] == [unit.config.seed] and result["steps"] == [4000, 8000]
-            assert all(0 < row[0] <= 100 for row in result["returns"])
-            assert len(result["film"]["poses"]) > 1
+            assert result.seeds == (unit.config.seed,) and result.steps == (4000, 8000)
+            assert all(0 < row[0] <= 100 for row in result.returns)
+            assert len(result.film.poses) > 1
     kinds = {file.name.split("-")[0] for file in (finished / "units").iterdir()}
     assert kinds == {"plans", "fit", "policies"}
 
@@ -61,9 +63,9 @@ def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> 
     more = replace(TINY, arms=(replace(WITH_Z, units=(*WITH_Z.units, policy(2, z=True))),))
     # a new unit needs the embedding, and that its demonstrations; the results of both are there all the same
     assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
-    before = {unit.name: read_result(unit, copied)["found"] for unit in (PLANS, FIT)}
+    before = {unit.name: read_result(unit, copied).found for unit in (PLANS, FIT)}
     assert run_study(more, copied, workers=1) == {}
-    assert {unit.name: read_result(unit, copied)["found"] for unit in (PLANS, FIT)} == before
+    assert {unit.name: read_result(unit, copied).found for unit in (PLANS, FIT)} == before
     assert is_done(policy(2, z=True), copied)
 
 
@@ -83,8 +85,8 @@ def test_a_folder_that_was_begun_again_is_not_taken_for_whole(copied: Path) -> N
 def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path: Path) -> None:
     alone = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
     run_study(alone, tmp_path / "out", workers=1)  # on all the cores there are; before, on one of them
-    expected = read_result(policy(0), finished)["found"]
-    assert read_result(policy(0), tmp_path / "out")["found"] == expected
+    expected = read_result(policy(0), finished).found
+    assert read_result(policy(0), tmp_path / "out").found == expected
 
 
 @pytest.mark.skipif("OPENBLAS_CORETYPE" not in WORKER_ENVIRONMENT, reason="a CPU of other kernels")
@@ -95,7 +97,7 @@ def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
     open_results(tmp_path)
     (tmp_path / "work").mkdir()
     run_alone(PLANS, tmp_path)
-    assert read_result(PLANS, tmp_path)["found"] == read_result(PLANS, finished)["found"]
+    assert read_result(PLANS, tmp_path).found == read_result(PLANS, finished).found
 
 
 def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:
@@ -171,23 +173,23 @@ def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
 def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     file = result_file(PLANS, copied)
-    result = read_result(PLANS, copied)
+    result = read_sealed(file)
     result["found"]["hash"] = "of another machine"
     write_sealed(file, result)
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
     failed = run_study(more, copied, workers=1)
-    assert "was made again and is not what it was" in failed[PLANS.name]
+    assert "was made again and differs from the first time" in failed[PLANS.name]
     assert not is_done(policy(2, z=True), copied)
-    assert read_result(PLANS, copied)["found"]["hash"] == "of another machine"
+    assert read_result(PLANS, copied).found.hash == "of another machine"
 
 
 def test_claims_wait_for_all_seeds(copied: Path) -> None:
     seeds = tuple(policy(seed) for seed in range(6))
     study = replace(TINY, arms=(replace(RAW, units=seeds), WITH_Z), claims=())
     claim = Claim("near 100", "ours", "final", RAW.name, "", margin=1.0)
-    scores = Scores(tuple(range(5)), np.array([8000]), np.full((1, 5), 99.0), 0, 0)
-    found = summarise(Findings(replace(study, claims=(claim,)), {}, {RAW.name: scores}))["claims"][0]
-    assert found["verdict"] == "not finished" and found["number"] == 99.0
+    scores = Scores(tuple(range(5)), np.array([8000]), np.full((1, 5), 99.0), 0)
+    found = summarise(Findings(replace(study, claims=(claim,)), {}, {RAW.name: scores}, {})).claims[0]
+    assert found.verdict == "not finished" and found.number == 99.0
 
 
 def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
@@ -208,14 +210,14 @@ def test_a_damaged_result_is_refused_by_name(copied: Path) -> None:
 def test_tables_are_made_of_results_alone(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     summary = summarise(read_findings(TINY, copied))
-    assert summary["units"] == {"done": 6, "all": 6}
-    rows = {row["arm"]: row for row in summary["panels"]["balance"]}
+    assert (summary.units_done, summary.units_all) == (6, 6)
+    rows = {row.arm: row for row in summary.panels["balance"]}
     assert list(rows) == ["raw", "raw + z"]
-    assert rows["raw"]["seeds"] == 2 and rows["raw"]["improvement"] is None
-    assert rows["raw"]["worst"] <= rows["raw"]["mean"] <= rows["raw"]["best"]
-    assert summary["claims"][0]["verdict"] == "cannot tell"  # two seeds
-    assert summary["embeddings"][0]["demos"] == 12 and summary["over_tasks"] == []  # one task
-    assert summary["time"]["timed_units"] == 6
+    assert rows["raw"].seeds == 2 and rows["raw"].improvement is None
+    assert rows["raw"].worst <= rows["raw"].mean <= rows["raw"].best
+    assert summary.claims[0].verdict == "cannot tell"  # two seeds
+    assert summary.embeddings[0].demos == 12 and summary.over_tasks == []  # one task
+    assert summary.time.timed_units == 6
     assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
 
 
@@ -228,17 +230,15 @@ def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
     study = replace(TINY, arms=tuple(arms), claims=())
     reached = {arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms}  # half way, each
     steps = np.array([400_000])
-    scores = {
-        name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0, 0) for name, values in reached.items()
-    }
-    rows = summarise(Findings(study, {}, scores))["over_tasks"]
-    assert [(row["algo"], row["arm"], row["tasks"]) for row in rows] == [
+    scores = {name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0) for name, values in reached.items()}
+    rows = summarise(Findings(study, {}, scores, {})).over_tasks
+    assert [(row.algo, row.arm, row.tasks) for row in rows] == [
         ("TRPO", "raw", 2),
         ("TRPO", "z only", 2),
     ]
-    assert all(row["iqm"] == 0.5 and row["iqm_interval"] == (0.5, 0.5) for row in rows)
+    assert all(row.iqm == 0.5 and row.iqm_interval == (0.5, 0.5) for row in rows)
     alone = replace(study, arms=(arms[0], arms[2]))
-    assert summarise(Findings(alone, {}, scores))["over_tasks"] == []  # one arm is compared with nothing
+    assert summarise(Findings(alone, {}, scores, {})).over_tasks == []  # one arm is compared with nothing
 
 
 @pytest.mark.parametrize(
@@ -255,17 +255,17 @@ def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
 )
 def test_what_makes_a_claim_hold_is_said(claim: Claim, rule: str) -> None:
     arms = tuple(Arm(panel, label, (policy(0),)) for panel in "ab" for label in "xy")
-    found = summarise(Findings(replace(TINY, arms=arms, claims=(claim,)), {}, {}))["claims"][0]
-    assert found["rule"] == rule
+    found = summarise(Findings(replace(TINY, arms=arms, claims=(claim,)), {}, {}, {})).claims[0]
+    assert found.rule == rule
 
 
 def test_a_spread_is_judged_by_its_logarithm_and_read_as_a_ratio() -> None:
     arms, steps = tuple(Arm("a", label, (policy(0),)) for label in "xy"), np.array([8000])
     study = replace(TINY, arms=arms, claims=(Claim("", "", "spread", "a/x", "a/y"),))
     x, seeds = np.arange(20.0)[None], tuple(range(20))
-    scores = {"a/x": Scores(seeds, steps, x, 0, 0), "a/y": Scores(seeds, steps, 3 * x, 0, 0)}
-    found = summarise(Findings(study, {}, scores))["claims"][0]
-    assert found["number"] == pytest.approx(3.0) and found["interval"] == pytest.approx((3.0, 3.0))
+    scores = {"a/x": Scores(seeds, steps, x, 0), "a/y": Scores(seeds, steps, 3 * x, 0)}
+    found = summarise(Findings(study, {}, scores, {})).claims[0]
+    assert found.number == pytest.approx(3.0) and found.interval == pytest.approx((3.0, 3.0))
 
 
 def test_no_more_workers_than_cores(tmp_path: Path) -> None:
@@ -276,8 +276,8 @@ def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
     for unit in WITH_Z.units:
         (copied / "units" / f"{unit.name}.json").unlink()
     summary, page = write_report(read_findings(TINY, copied), copied)
-    assert summary["claims"][0]["verdict"] == "not run yet"
-    assert [row["arm"] for row in summary["panels"]["balance"]] == ["raw"]
+    assert summary.claims[0].verdict == "not run yet"
+    assert [row.arm for row in summary.panels["balance"]] == ["raw"]
     assert "4 of 6 units are done" in page.read_text()
     for unit in RAW.units:
         (copied / "units" / f"{unit.name}.json").unlink()

@@ -13,9 +13,7 @@ from planspace.study.unit import PolicyUnit
 def scores(final: list[float], *, first: int = 0, num_embeddings: int = 0) -> Scores:
     """Four rows of 100,000 steps, all of them what a seed reached."""
     steps = 100_000 * np.arange(1, 5)
-    return Scores(
-        tuple(range(first, first + len(final))), steps, np.tile(final, (4, 1)), num_embeddings, frozen=0
-    )
+    return Scores(tuple(range(first, first + len(final))), steps, np.tile(final, (4, 1)), num_embeddings)
 
 
 def test_what_a_seed_reached_is_its_mean_over_the_last_steps() -> None:
@@ -23,21 +21,21 @@ def test_what_a_seed_reached_is_its_mean_over_the_last_steps() -> None:
         1, 51
     )  # 1 M in rows of five iterations: the last 200,000 steps are ten of them
     returns = np.arange(50.0)[:, None]
-    long = Scores((0,), steps, returns, 0, 0)
+    long = Scores((0,), steps, returns, 0)
     assert stats.final(long) == pytest.approx(44.5)  # mean of 40 .. 49
     assert stats.early(long) == pytest.approx(5.5)  # rows until 250,000 steps: 0 .. 11
     assert stats.whole(long) == pytest.approx(24.5)
-    short = Scores((0,), np.array([4000, 8000, 12000]), np.array([[1.0], [2.0], [6.0]]), 0, 0)
+    short = Scores((0,), np.array([4000, 8000, 12000]), np.array([[1.0], [2.0], [6.0]]), 0)
     assert stats.final(short) == 6.0 and stats.early(short) == 1.0
     assert stats.whole(short) == pytest.approx(3.0)
-    uneven = Scores((0,), np.array([20_000, 24_000]), np.array([[1.0], [7.0]]), 0, 0)
+    uneven = Scores((0,), np.array([20_000, 24_000]), np.array([[1.0], [7.0]]), 0)
     assert stats.whole(uneven) == pytest.approx(2.0)  # 20,000 steps of 1 and 4,000 of 7
 
 
 def test_steps_to_a_level_look_at_the_mean_of_two_rows() -> None:
     steps = np.array([10, 20, 30, 40])
     returns = np.array([[0.0, 9.0], [8.0, 0.0], [4.0, 0.0], [9.0, 0.0]])
-    found = stats.steps_to(Scores((0, 1), steps, returns, 0, 0), 5.0)
+    found = stats.steps_to(Scores((0, 1), steps, returns, 0), 5.0)
     assert found[0] == 30  # (8 + 4) / 2 = 6; the peak of 8 before it has a mean of 4
     assert np.isinf(found[1])
 
@@ -163,7 +161,7 @@ def test_spread_is_claimed_to_be_less_and_counted_upwards() -> None:
     found = judge(claim, narrow, wide)
     assert found.number == pytest.approx(np.log(4.0)) and found.verdict == HOLDS
     assert judge(claim, wide, narrow).verdict == FAILS
-    ratio, (low, high) = stats.deviation_ratio(narrow, wide)
+    ratio, (low, high) = stats.log_std_ratio(narrow, wide)
     assert low <= ratio <= high and ratio == pytest.approx(np.log(4.0))
 
 

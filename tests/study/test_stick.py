@@ -23,8 +23,8 @@ def test_a_pole_stands_where_its_state_says() -> None:
     states[:, 0] = [0.0, 0.5, 0.5]
     states[:, 1] = [0.0, 0.0, np.pi / 2]  # upright; upright and to the right; lying to the right
     film = stick_film(episode("cartpole-swingup", states))
-    poses = np.array(film["poses"])
-    assert film["seconds"] == pytest.approx(0.04)
+    poses = np.array(film.poses)
+    assert film.seconds == pytest.approx(0.04)
     (pole,) = [i for i in range(poses.shape[1]) if abs(poses[0, i, 3] - poses[0, i, 1]) > 400]
     length = [np.hypot(*(pose[pole, 2:] - pose[pole, :2])) for pose in poses]
     assert length == pytest.approx([600] * 3, abs=3)  # [mm]
@@ -39,8 +39,8 @@ def test_a_long_episode_has_so_many_poses_and_the_plane_the_robot_moves_in() -> 
     states = np.zeros((500, 4))
     states[:, 0] = np.linspace(0.0, 3.0, 500)
     film = stick_film(episode("reacher-raw", states))
-    poses = np.array(film["poses"])
+    poses = np.array(film.poses)
     assert len(poses) == FRAMES
-    assert film["seconds"] * (FRAMES - 1) == pytest.approx(0.04 * 499, rel=1e-3)
+    assert film.seconds * (FRAMES - 1) == pytest.approx(0.04 * 499, rel=1e-3)
     tip = np.hypot(poses[..., 2], poses[..., 3]).max()
     assert tip == pytest.approx(210, abs=12)  # the arm lies in the plane that is drawn

@@ -50,7 +50,8 @@ class Study:
         from planspace.study.grid import STUDIES, make_study
         from planspace.study.report import write_report
         from planspace.study.run import failures
-        from planspace.study.summary import as_text, read_findings
+        from planspace.study.summary import read_findings
+        from planspace.study.tables import as_text
 
         if not self.name:
             raise UsageError(f"which study? Choose one of {', '.join(STUDIES)}.")

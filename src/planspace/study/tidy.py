@@ -73,7 +73,7 @@ def write_tidy(findings: Findings, path: Path, points: Mapping[str, int] | None 
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Row._fields)
     for row in _rows(findings, points or {}):
-        cells = row._asdict() | {"value": _number(row.value)}
+        cells = row._asdict() | {"value": _number(float(row.value))}
         writer.writerow("" if cell is None else cell for cell in cells.values())
     write_bytes(path, text.getvalue().encode())
 
