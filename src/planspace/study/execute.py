@@ -29,8 +29,8 @@ from planspace.plan.demonstrations import plan_into
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.train import train
-from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.checks import reject_malformed
+from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import read_description, write_sealed
 from planspace.storage.provenance import Provenance
