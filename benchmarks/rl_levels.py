@@ -2,14 +2,12 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_levels.py [ARM ...] [--out DIR]
 
-Each arm is one `planspace train`, whose command is kept with its returns in results/rl/ARM.json; an arm whose
-file is there is not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the
-paper's manner. Without arms, all of them: an hour on two cores.
+Each arm is one `planspace train`. Its returns are kept in results/rl/levels.csv, and an arm that is there is
+not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the style of the paper. Without arms,
+all of them: an hour on two cores.
 """
 
 import argparse
-import json
-import shlex
 import sys
 from pathlib import Path
 
@@ -19,16 +17,14 @@ from planspace.cli import main as planspace
 from planspace.errors import PartialResult
 from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
-from planspace.rl.config import BATCH_STEPS
 from planspace.rl.history import load_history
 from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
-from planspace.storage.files import write_bytes
-from planspace.storage.json_files import read_json
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15
-KEPT_ROWS = SMOOTHING
-"""The returns kept are means of so many iterations, rounded to 2 decimals; no further smoothed when drawn."""
+STUDY, FILE = "levels", RESULTS / "levels.csv"
+POINTS = 12
+"""Points of a learning curve that are kept, about; each is a mean of ten iterations and not smoothed again."""
 EVERY = {"algo": "trpo", "preset": "paper", "seeds": NUM_SEEDS}
 SWING_UP = {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000}
 BALANCE = {"task": "cartpole", "obs": "raw", "steps": 400_000}
@@ -71,37 +67,43 @@ def command(name: str) -> list[str]:
     ]
 
 
-def run_arm(name: str, runs: Path) -> None:
+def run_arm(name: str, runs: Path) -> list[Row]:
+    """Train an arm; its returns as rows of the table."""
     words, out = command(name), runs / name
     if (code := planspace([*words, "--out", str(out)])) not in (0, PartialResult.exit_code):
         sys.exit(code)
-    history, settings = load_history(out), read_json(out / "config.json")
+    history = load_history(out)
     returns, steps = history["return"], history["steps"]
-    rows = len(returns) // KEPT_ROWS * KEPT_ROWS
-    kept = returns[:rows].reshape(-1, KEPT_ROWS, returns.shape[1]).mean(axis=1)
-    result = {
-        "command": shlex.join(["planspace", *words]),
-        "versions": settings["versions"],
-        "seeds": list(range(NUM_SEEDS)),
-        "last": np.round(returns[-1], 2).tolist(),
-        "evaluation": np.round(history["eval_return"][-1], 2).tolist(),
-        "steps_to_100": [int(steps[h[0]]) if len(h := np.flatnonzero(r >= 100)) else None for r in returns.T],
-        "skipped": int(history["skipped"].sum()),
-        "frozen": int(history["frozen"][-1].sum()),
-        "kept_every": KEPT_ROWS * BATCH_STEPS,
-        "returns": np.round(kept, 2).tolist(),
-    }
-    write_bytes(RESULTS / f"{name}.json", (json.dumps(result) + "\n").encode())
+    end = int(steps[-1])
+    rows = []
+    for seed, of_seed in enumerate(returns.T):
+        rows.append(Row(STUDY, name, seed, None, end, "last_return", of_seed[-1]))
+        evaluation = history["eval_return"][-1, seed]
+        rows.append(Row(STUDY, name, seed, None, end, "evaluation_return", evaluation))
+        if len(reached := np.flatnonzero(of_seed >= 100)):
+            rows.append(Row(STUDY, name, seed, None, None, "steps_to_100", steps[reached[0]]))
+    skipped, diverged = history["skipped"].sum(), history["frozen"][-1].sum()
+    rows.append(Row(STUDY, name, None, None, None, "skipped_updates", skipped))
+    rows.append(Row(STUDY, name, None, None, None, "diverged", diverged))
+    curve, every = smoothed(returns), SMOOTHING * max(1, len(returns) // SMOOTHING // POINTS)
+    for i in range(every - 1, len(returns), every):
+        for seed, value in enumerate(curve[i]):
+            rows.append(Row(STUDY, name, seed, None, int(steps[i]), "return", round(float(value), 2)))
+    return rows
 
 
-def table(names: list[str]) -> None:
-    print(f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}{'frozen':>8}   check")
+def metric(rows: list[Row], name: str, metric: str) -> np.ndarray:
+    """A number of each seed of an arm."""
+    return np.array([row.value for row in rows if (row.arm, row.metric) == (name, metric)])
+
+
+def table(names: list[str], rows: list[Row]) -> None:
+    print(f"{'':<28}{'mean':>9}{'error':>8}{'worst':>9}{'best':>9}{'evaluation':>12}{'diverged':>10}   check")
     for name in names:
-        result = read_json(RESULTS / f"{name}.json")
-        last = np.array(result["last"])
+        last, evaluation = metric(rows, name, "last_return"), metric(rows, name, "evaluation_return")
         error = last.std(ddof=1) / np.sqrt(len(last))
         row = f"{name:<28}{last.mean():>9.1f}{error:>8.1f}{last.min():>9.1f}{last.max():>9.1f}"
-        row += f"{np.mean(result['evaluation']):>12.1f}{result['frozen']:>8}"
+        row += f"{evaluation.mean():>12.1f}{metric(rows, name, 'diverged')[0]:>10.0f}"
         if name in CHECKS:
             mean, worst, best, their_error = CHECKS[name]
             margin = 1.96 * np.hypot(error, error if their_error is None else their_error)
@@ -111,17 +113,18 @@ def table(names: list[str]) -> None:
         print(row)
 
 
-def draw(names: list[str]) -> None:
-    """A figure for each task and preset; the long run has its own."""
+def draw(names: list[str], rows: list[Row]) -> None:
+    """Draw a figure for each task and preset; the long run has its own."""
     figures: dict[str, dict[str, Curve]] = {}
     for name in names:
-        arm, result = EVERY | ARMS[name], read_json(RESULTS / f"{name}.json")
-        returns = np.array(result["returns"])
-        steps = result["kept_every"] * np.arange(1, len(returns) + 1)
-        curve = learning_curve({"return": returns, "steps": steps}, window=1)
+        arm = EVERY | ARMS[name]
+        points = [row for row in rows if row.arm == name and row.metric == "return"]
+        steps = np.array(sorted({row.step for row in points}))
+        returns = np.array([[row.value for row in points if row.step == step] for step in steps])
         ending = "-long" if name.endswith("-long") else ""
         figure = figures.setdefault(f"{arm['task']}-{arm['preset']}{ending}", {})
-        figure[f"{arm['obs']}, {str(arm['algo']).upper()}"] = curve
+        label = f"{arm['obs']}, {str(arm['algo']).upper()}"
+        figure[label] = learning_curve({"return": returns, "steps": steps}, window=1)
     for title, curves in figures.items():
         print(save_figure(plot_curves(curves, title), RESULTS, title))
 
@@ -132,16 +135,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/rl-levels"), help="folder of the runs")
     options = parser.parse_args()
     names = options.arms or list(ARMS)
-    RESULTS.mkdir(parents=True, exist_ok=True)
+    rows = read_rows(FILE) if FILE.exists() else []
     for name in names:
-        if not (RESULTS / f"{name}.json").exists():
-            run_arm(name, options.out)
+        if not len(metric(rows, name, "last_return")):
+            rows += run_arm(name, options.out)
+            write_rows(rows, make_folder(RESULTS) / FILE.name)
     print("command: python benchmarks/rl_levels.py", *options.arms)
     for preset in ("paper", "modern"):  # never in one table
         if chosen := [name for name in names if (EVERY | ARMS[name])["preset"] == preset]:
             print(f"\n{preset}")
-            table(chosen)
-    draw(names)
+            table(chosen, rows)
+    draw(names, rows)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ Cells that do not apply are empty. The tables, claims and curves of a study can 
 import csv
 import io
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,10 +69,15 @@ def write_tidy(findings: Findings, path: Path, points: Mapping[str, int] | None 
         path: the file.
         points: points of each learning curve that are kept, by panel; `POINTS` if not given.
     """
+    write_rows(_rows(findings, points or {}), path)
+
+
+def write_rows(rows: Iterable[Row], path: Path) -> None:
+    """Write a table."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Row._fields)
-    for row in _rows(findings, points or {}):
+    for row in rows:
         cells = row._asdict() | {"value": _number(float(row.value))}
         writer.writerow("" if cell is None else cell for cell in cells.values())
     write_bytes(path, text.getvalue().encode())
