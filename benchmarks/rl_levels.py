@@ -18,13 +18,13 @@ from planspace.errors import PartialResult
 from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.history import load_history
-from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
+from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve, smoothed
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15
 STUDY, FILE = "levels", RESULTS / "levels.csv"
 POINTS = 12
-"""Points of a learning curve that are kept, about; each is a mean of ten iterations and not smoothed again."""
+"""About how many points of a learning curve are kept; each is a mean of ten iterations."""
 EVERY = {"algo": "trpo", "preset": "paper", "seeds": NUM_SEEDS}
 SWING_UP = {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000}
 BALANCE = {"task": "cartpole", "obs": "raw", "steps": 400_000}

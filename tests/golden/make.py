@@ -7,6 +7,7 @@ is never made again.
 import json
 import shutil
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
 from planspace.storage.files import TEMPORARY_PREFIX
 from planspace.study.design import Arm, Study
-from planspace.study.execute import WHOLE, folder_of, read_result
+from planspace.study.execute import WHOLE, folder_of, read_result_file
+from planspace.study.results import UnitResult
 from planspace.study.run import run_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
 
@@ -44,6 +46,12 @@ def make(out: Path) -> None:
     (out / "expected.json").write_text(json.dumps(read(out), indent=1) + "\n")
 
 
+def unit_of(kind: str, out: Path) -> UnitResult:
+    """The result of the one unit of a kind, under whatever name it was saved."""
+    (file,) = (out / "units").glob(f"{kind}-*.json")
+    return read_result_file(file, kind)
+
+
 def read(out: Path) -> dict[str, object]:
     """What one finds in the artefacts."""
     demos, embedding = load_demos(out / "demos"), load_embedding(out / "embedding")
@@ -62,7 +70,7 @@ def read(out: Path) -> dict[str, object]:
             file.stem: sorted(json.loads(file.read_text())["found"])
             for file in sorted((out / "units").glob("*.json"))
         },
-        "found": {unit.kind: read_result(unit, out)["found"] for unit in (PLANS, POLICY)},
+        "found": {kind: asdict(unit_of(kind, out).found) for kind in ("plans", "policies")},
     }
 
 

@@ -6,6 +6,7 @@ from planspace.errors import PlanspaceError
 from planspace.rl.config import TrainConfig
 from planspace.study import stats
 from planspace.study.design import Arm, Claim
+from planspace.study.results import PoliciesResult
 from planspace.study.stats import FAILS, HOLDS, OPEN, Scores, judge
 from planspace.study.unit import PolicyUnit
 
@@ -180,14 +181,9 @@ def test_the_best_two_seeds_are_the_best_case() -> None:
 def test_blocks_merge_in_the_order_of_their_seeds() -> None:
     arm = Arm("panel", "arm", (PolicyUnit(TrainConfig("cartpole")),))
 
-    def block(seeds: list[int], steps: tuple[int, ...] = (4000,)) -> dict:
-        returns = [[float(seed) for seed in seeds] for _ in steps]
-        return {
-            "seeds": seeds,
-            "steps": list(steps),
-            "returns": returns,
-            "frozen": [False] * len(seeds),
-        }
+    def block(seeds: list[int], steps: tuple[int, ...] = (4000,)) -> PoliciesResult:
+        returns = tuple([float(seed) for seed in seeds] for _ in steps)
+        return PoliciesResult(tuple(seeds), steps, returns, (False,) * len(seeds))
 
     merged = Scores.of(arm, [block([5, 6]), block([0, 1])])
     assert merged.seeds == (0, 1, 5, 6) and merged.returns.tolist() == [[0.0, 1.0, 5.0, 6.0]]
