@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from planspace.demos.folder import load_demos as load_demos
     from planspace.embed.embedding import Embedding as Embedding
     from planspace.embed.embedding import load_embedding as load_embedding
+    from planspace.envs.make import make_env as make_env
+    from planspace.envs.make import wrap as wrap
     from planspace.errors import PartialResult as PartialResult
     from planspace.errors import PlanspaceError as PlanspaceError
     from planspace.errors import UsageError as UsageError
@@ -39,7 +41,9 @@ _MODULE_OF = {
     "load_embedding": "planspace.embed.embedding",
     "load_policy": "planspace.rl.saved_policy",
     "load_problem": "planspace.tasks.problem_file",
+    "make_env": "planspace.envs.make",
     "plan_demos": "planspace.plan.demonstrations",
+    "wrap": "planspace.envs.make",
 }
 
 __all__ = list(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -266,11 +266,11 @@ def test_what_does_not_fit_is_refused_at_construction(embedding_folder: Path, tm
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "give the goal, or goal_columns"),
-        ({"goal": GOAL, "goal_columns": STATE}, "give the goal, or goal_columns"),
-        ({"goal": [0.0, 0.0]}, "the goal is a finite state of 4 numbers"),
+        ({}, "give either the goal, or goal_columns"),
+        ({"goal": GOAL, "goal_columns": STATE}, "give either the goal, or goal_columns"),
+        ({"goal": [0.0, 0.0]}, "the goal must be a state of 4 finite numbers"),
         ({"goal": {"slider": 0.0}}, "'hinge' is missing"),
-        ({"goal": {**GOAL, "hinge": np.nan}}, "the goal is a finite state"),
+        ({"goal": {**GOAL, "hinge": np.nan}}, "the goal must be a state"),
         ({"goal": GOAL, "scale": 0.0}, "scale must be a number above 0"),
         ({"goal": GOAL, "discount": 1.5}, "discount must be a number above 0 and at most 1"),
     ],

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from planspace.envs.wrappers import PlanSpaceVectorObservation
+from planspace.envs.observation_wrappers import PlanSpaceVectorObservation
 from planspace.errors import PlanspaceError, UsageError
 
 try:

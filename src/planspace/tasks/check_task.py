@@ -32,15 +32,7 @@ def check_task(task: Task, model: mujoco.MjModel | None = None, space: StateSpac
         raise UsageError(f"expected a Task, got {type(task).__name__}. See {PAGE}.")
     if model is None or space is None:
         model, space = task.compile()
-    num_controls = int(model.nu)  # pyright: ignore
-    if len(task.start_low) != space.size:
-        raise misfit(
-            task,
-            "start_low",
-            f"has {len(task.start_low)} numbers, a state has {space.size} ({', '.join(space.names)})",
-        )
-    if num_controls == 0:
-        raise misfit(task, "model", "has no actuators, so that there is nothing to control")
+    num_controls = _check_sizes(task, model, space)
     rng = np.random.default_rng(0)
     if task.draw_targets is not None:
         _try(task, "draw_targets", lambda: task.draw_targets(BATCH, rng), (BATCH, None))  # pyright: ignore
@@ -61,6 +53,21 @@ def check_task(task: Task, model: mujoco.MjModel | None = None, space: StateSpac
         raise misfit(task, "observe", "returned observations without numbers")
 
 
+def _check_sizes(task: Task, model: mujoco.MjModel, space: StateSpace) -> int:
+    """Check the joints and the size of the start against the model; return the number of controls."""
+    names = [model.joint(i).name for i in range(model.njnt)]
+    left_out = [name or "a joint without a name" for name in names if name not in task.joints]
+    if left_out:
+        problem = f"leaves out {left_out[0]!r}, which the model moves: name it, or remove it from the model"
+        raise misfit(task, "joints", problem)
+    if len(task.start_low) != space.size:
+        problem = f"has {len(task.start_low)} numbers, a state has {space.size} ({', '.join(space.names)})"
+        raise misfit(task, "start_low", problem)
+    if model.nu == 0:
+        raise misfit(task, "model", "has no actuators, so that there is nothing to control")
+    return model.nu
+
+
 def _try(
     task: Task,
     name: str,
@@ -77,7 +84,7 @@ def _try(
     shape += ",)" if len(wanted) == 1 else ")"
     what = "truth values" if kinds == TRUTH_VALUES else "numbers"
     if not isinstance(got, np.ndarray):
-        raise misfit(task, name, f"must return an array of {what}, got {type(got).__name__}")
+        raise misfit(task, name, f"must return an array of {what}, it returned a {type(got).__name__}")
     fits = len(got.shape) == len(wanted) and all(
         size in (None, actual) for size, actual in zip(wanted, got.shape, strict=False)
     )

@@ -11,11 +11,11 @@ A function must treat each environment by itself: what it returns for one may no
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -55,7 +55,7 @@ def states_only(states: np.ndarray, target: np.ndarray) -> np.ndarray:
     return states
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Task:
     """One task. Everything that is said of a task stands here; no other list names it."""
 
@@ -65,9 +65,9 @@ class Task:
     """The MJCF text, or the path of an MJCF file."""
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
-    start_low: tuple[float, ...]
+    start_low: Sequence[float | int]
     """Lower bound of the first states, which are drawn uniformly [m, rad, m/s, rad/s]."""
-    start_high: tuple[float, ...]
+    start_high: Sequence[float | int]
     """Upper bound of the first states."""
     horizon: int
     """Steps of an episode before it is truncated."""
@@ -113,11 +113,16 @@ class Task:
         Raises:
             UsageError: a value does not fit; the message names the field and the how-to page.
         """
-        for name in ("joints", "start_low", "start_high"):
+        for name in ("joints", "trig_columns", "obs_fields", "start_low", "start_high"):
             value = getattr(self, name)
-            if isinstance(value, list | np.ndarray):
-                object.__setattr__(self, name, tuple(value))
+            if isinstance(value, list | tuple | np.ndarray):
+                object.__setattr__(self, name, _tuple(value, numbers=name.startswith("start")))
         check_fields(self)
+
+    def __repr__(self) -> str:
+        """Return the name, the joints and the horizon."""
+        joints = self.joints if len(self.joints) <= 4 else (*self.joints[:3], "...")
+        return f"Task({self.name!r}, joints {', '.join(joints)}, {self.horizon} steps)"
 
     # --- the model --------------------------------------------------------------------------------------
 
@@ -155,7 +160,7 @@ class Task:
     @property
     def hash(self) -> str:
         """SHA-256 of everything that defines the task: model, numbers and the source of its functions."""
-        from planspace.storage.files import json_hash
+        from planspace.storage.json_files import json_hash
 
         settings = {f.name: function_settings(getattr(self, f.name)) for f in fields(self)}
         return json_hash({**settings, "model": self.mjcf})
@@ -278,6 +283,13 @@ def check_fields(task: Task) -> None:
 def misfit(task: Task, field: str, problem: str) -> UsageError:
     """Build the error for a field of a task, to be raised by the caller."""
     return UsageError(f"task {quoted(task.name)}: {field} {problem}. See {PAGE}.")
+
+
+def _tuple(values: Sequence[Any] | np.ndarray, *, numbers: bool) -> tuple[Any, ...]:
+    """A sequence as a tuple: of floats if they are to be numbers, and of tuples if it holds lists."""
+    if numbers and all(isinstance(value, int | np.number) for value in values):
+        return tuple(float(value) for value in values)
+    return tuple(tuple(value) if isinstance(value, list) else value for value in values)
 
 
 def _numbers(task: Task, field: str) -> np.ndarray:

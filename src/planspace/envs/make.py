@@ -1,0 +1,137 @@
+"""Making and wrapping environments: `planspace.make_env` and `planspace.wrap`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import gymnasium
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import VectorEnv
+
+from planspace.embed.embedding import Embedding
+from planspace.envs.observation_wrappers import PlanSpaceObservation, PlanSpaceVectorObservation
+from planspace.errors import UsageError, quoted
+from planspace.tasks.catalog import TASKS, find_task
+from planspace.tasks.task import Task
+
+
+@overload
+def make_env(
+    task: str | Task,
+    num_envs: None = None,
+    *,
+    embedding: str | Path | Embedding | None = None,
+    mode: str = "augment",
+    **arguments: Any,
+) -> gymnasium.Env[Any, Any]: ...
+@overload
+def make_env(
+    task: str | Task,
+    num_envs: int,
+    *,
+    embedding: str | Path | Embedding | None = None,
+    mode: str = "augment",
+    **arguments: Any,
+) -> VectorEnv[Any, Any, Any]: ...
+def make_env(
+    task: str | Task,
+    num_envs: int | None = None,
+    *,
+    obs: str = "raw",
+    reward: str = "dense",
+    embedding: str | Path | Embedding | None = None,
+    mode: str = "augment",
+    render_mode: str | None = None,
+    **arguments: Any,
+) -> gymnasium.Env[Any, Any] | VectorEnv[Any, Any, Any]:
+    """Make the environment of a task, as `gymnasium.make` would, with or without an embedding.
+
+    Args:
+        task: the name of a task, or a task of your own.
+        num_envs: number of environments in one vector environment; None makes a single environment.
+        obs: `raw`, `wrapped` (angles of unlimited hinges within (-pi, pi]) or `trig` (raw, sine and cosine).
+        reward: `dense`, `sparse` (1 at the goal, 0 elsewhere) or `2020` (if the task has it).
+        embedding: an embedding or its folder, to show the agent z.
+        mode: how z is shown, as for `PlanSpaceObservation`.
+        render_mode: `rgb_array`, `human` (single environments only), or None.
+        arguments: further arguments of `gymnasium.make`, or of `TaskVectorEnv`: `max_episode_steps`,
+            `autoreset_mode`, `threads`.
+
+    Returns:
+        An environment of Gymnasium; seed it with `env.reset(seed=...)`.
+
+    Raises:
+        UsageError: no task has this name, a task does not fit its model, or an argument has a wrong value.
+        PlanspaceError: the embedding cannot be loaded.
+    """
+    spec = _spec_of(find_task(task))
+    arguments |= {"obs": obs, "reward": reward, "render_mode": render_mode}
+    if num_envs is None:
+        env = gymnasium.make(spec, **arguments)
+    else:
+        env = gymnasium.make_vec(
+            spec, num_envs=num_envs, vectorization_mode="vector_entry_point", **arguments
+        )
+    return env if embedding is None else wrap(env, embedding, mode)
+
+
+@overload
+def wrap(
+    env: VectorEnv[Any, Any, Any],
+    embedding: str | Path | Embedding,
+    mode: str = "augment",
+    columns: Sequence[int] | None = None,
+) -> PlanSpaceVectorObservation: ...
+@overload
+def wrap(
+    env: gymnasium.Env[Any, Any],
+    embedding: str | Path | Embedding,
+    mode: str = "augment",
+    columns: Sequence[int] | None = None,
+) -> PlanSpaceObservation: ...
+def wrap(
+    env: Any,
+    embedding: str | Path | Embedding,
+    mode: str = "augment",
+    columns: Sequence[int] | None = None,
+) -> PlanSpaceObservation | PlanSpaceVectorObservation:
+    """Show an agent z: wrap a single or a vector environment of Gymnasium.
+
+    Args:
+        env: the environment.
+        embedding: the embedding or its folder.
+        mode: `augment` appends z to a flat observation, `replace` returns only z, `dict` returns both.
+        columns: the columns of the observation that make the embedding's state; None reads the state by
+            name (see `PlanSpaceObservation`).
+
+    Raises:
+        UsageError: the environment is of another kind, or the embedding does not fit it.
+        PlanspaceError: the embedding cannot be loaded.
+    """
+    if isinstance(env, VectorEnv):
+        return PlanSpaceVectorObservation(env, embedding, mode, columns)
+    if isinstance(env, gymnasium.Env):
+        return PlanSpaceObservation(env, embedding, mode, columns)
+    kind = f"{type(env).__module__}.{type(env).__qualname__}"
+    if any(base.__module__.startswith("stable_baselines3.") for base in type(env).__mro__):
+        raise UsageError(
+            f"wrap takes environments of Gymnasium, got {kind}: wrap each environment before "
+            "Stable-Baselines3 vectorises it, or use planspace.envs.sb3.make_vec_env(..., embedding=...)."
+        )
+    if isinstance(env, str):
+        raise UsageError(f"wrap takes an environment, got {quoted(env)}: use gymnasium.make({env!r}).")
+    raise UsageError(
+        f"wrap takes a gymnasium.Env or a gymnasium.vector.VectorEnv, got {kind}: convert it first, for "
+        "example with Shimmy."
+    )
+
+
+def _spec_of(task: Task) -> EnvSpec:
+    """Return what Gymnasium needs to make a task; a task that can be named is recorded by its name."""
+    return EnvSpec(
+        id=task.env_id or task.name,
+        entry_point="planspace.envs.task:TaskEnv",
+        vector_entry_point="planspace.envs.vector:TaskVectorEnv",
+        max_episode_steps=task.horizon,
+        kwargs={"task": task.name if TASKS.get(task.name) is task else task},
+    )
