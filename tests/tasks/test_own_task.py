@@ -183,7 +183,7 @@ def test_the_hash_follows_the_model_the_numbers_and_the_functions() -> None:
     changes: list[dict[str, Any]] = [
         {"horizon": 26},
         {"model": MODEL.replace("0.5", "0.6")},
-        {"start_low": (-1, -3, 0, -0.1)},
+        {"start_low": (-1, -3, -1, -0.1)},
         {"at_goal": lambda states, target: np.abs(states[:, 0]) < 0.1},
     ]
     hashes = {replace(TASK, **change).hash for change in changes}
