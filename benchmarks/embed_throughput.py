@@ -27,7 +27,9 @@ def prepare(num_seeds: int, steps: int, one_by_one: bool = False):
     import jax.numpy as jnp
     import jax.random as jr
 
-    from planspace.demos.dataset import Demos, Episode, StateInfo
+    from planspace.demos.dataset import Demos
+    from planspace.demos.episode import Episode
+    from planspace.demos.state_info import StateInfo
     from planspace.embed.config import PRESETS
     from planspace.embed.embedding import Inputs
     from planspace.embed.samples import make_samples

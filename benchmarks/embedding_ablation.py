@@ -20,7 +20,7 @@ import matplotlib.figure
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.config import PAPER_SPACINGS, PRESETS, FitConfig
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_seeds

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import choose, fit_seeds
 from planspace.embed.geometry import measure, measure_raw_state

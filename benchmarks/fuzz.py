@@ -57,7 +57,7 @@ def fuzz(target: str, seconds: int, kept: Path) -> None:
 
 def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
     """What reads a file of these bytes, and files to begin with."""
-    from planspace.demos.folder import load_demos
+    from planspace.demos.load import load_demos
     from planspace.embed.embedding import load_embedding
     from planspace.mjcf.assets import ASSETS
     from planspace.mjcf.read import read_model
@@ -92,7 +92,7 @@ def written(file: Path, data: bytes) -> Path:
 
 def importer(folder: Path, ending: str) -> Probe:
     from planspace.demos.convert import import_demos
-    from planspace.demos.folder import load_demos
+    from planspace.demos.load import load_demos
     from planspace.demos.recording import ImportOptions
 
     def probe(data: bytes) -> None:

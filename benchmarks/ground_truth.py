@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.storage.files import write_bytes

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.embedding import load_embedding
 from planspace.storage.arrays import read_arrays
 from planspace.workers import WORKER_ENVIRONMENT

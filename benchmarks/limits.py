@@ -24,7 +24,7 @@ SHOW = "from planspace.cli import main; assert main(['demos', 'show', '{demos}']
 TRIPLETS = """
 from pathlib import Path
 import numpy as np
-from planspace.demos.folder import StoredDemos
+from planspace.demos.stored import StoredDemos
 from planspace.demos.triplets import random_triplets
 demos, rng = StoredDemos(Path('{demos}')), np.random.default_rng(0)
 for _ in range(10):

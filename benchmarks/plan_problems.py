@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from planspace.demos.describe import replay_errors
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.errors import PartialResult
 from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem, shipped_problems

@@ -17,7 +17,7 @@ import numpy as np
 from ground_truth import FOLDER, pendulum_time, reacher_time
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem

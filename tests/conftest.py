@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit

@@ -13,7 +13,7 @@ from planspace.envs import register_tasks
 
 if TYPE_CHECKING:
     from planspace.demos.dataset import Demos as Demos
-    from planspace.demos.folder import load_demos as load_demos
+    from planspace.demos.load import load_demos as load_demos
     from planspace.embed.embedding import Embedding as Embedding
     from planspace.embed.embedding import load_embedding as load_embedding
     from planspace.envs.make import make_env as make_env
@@ -37,7 +37,7 @@ _MODULE_OF = {
     "Problem": "planspace.tasks.problem",
     "Task": "planspace.tasks.task",
     "UsageError": "planspace.errors",
-    "load_demos": "planspace.demos.folder",
+    "load_demos": "planspace.demos.load",
     "load_embedding": "planspace.embed.embedding",
     "load_policy": "planspace.rl.saved_policy",
     "load_problem": "planspace.tasks.problem_file",

@@ -1,8 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors
+from planspace.demos.episode import Episode
+from planspace.demos.load import load_demos
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 
 INFO = StateInfo(("x", "v"), ("m", "m/s"), (), 1)
@@ -21,7 +26,7 @@ def test_planned_demos_end_at_the_goal_and_replay(demos: Demos) -> None:
     assert replay_errors(demos).max() <= 1e-6
 
 
-def test_split_is_by_demo_seeded_and_complete(demos: Demos) -> None:
+def test_the_split_is_seeded_and_complete(demos: Demos) -> None:
     split = demos.split(0)
     together = np.concatenate(list(split.values()))
     assert sorted(together) == list(range(len(demos)))
@@ -30,3 +35,38 @@ def test_split_is_by_demo_seeded_and_complete(demos: Demos) -> None:
     assert any((a != b).any() for a, b in zip(split.values(), demos.split(1).values(), strict=True))
     with pytest.raises(PlanspaceError, match="2 demonstrations cannot be split in three"):
         Demos.from_episodes(INFO, [episode(0), episode(1)]).split(0)
+
+
+def test_save_and_load(demos: Demos, tmp_path: Path) -> None:
+    demos.save(tmp_path / "demos")
+    saved = load_demos(tmp_path / "demos")
+    assert saved.hash == demos.hash
+    for name in ("success", "indices", "seeds", "costs"):
+        np.testing.assert_array_equal(getattr(saved, name), getattr(demos, name))
+    before = (tmp_path / "demos" / "manifest.json").read_bytes()
+    demos.save(tmp_path / "demos")  # saving the same demonstrations again changes nothing
+    assert (tmp_path / "demos" / "manifest.json").read_bytes() == before
+    with pytest.raises(PlanspaceError, match="made with other settings: content was"):
+        demos.select(("hinge",)).save(tmp_path / "demos")
+
+
+def test_summaries_are_short(demos: Demos) -> None:
+    lines = repr(demos).splitlines()
+    assert lines[0] == "Demos: 12 demonstrations of cartpole-swingup"
+    assert lines[1].endswith("each (slider [m], hinge [rad], slidervel [m/s], hingevel [rad/s])")
+    assert lines[-1] == "  at the goal  12 of 12"
+    assert len(lines) == 5 and max(map(len, lines)) < 110
+    page = demos._repr_html_()
+    assert len(page) < 1000 and "12 demonstrations of cartpole-swingup" in page
+    assert len(repr(demos.info)) < 500  # the model is left out
+
+
+def test_a_summary_lists_a_few_names_and_escapes_them() -> None:
+    names = tuple(f"<b{i}>" for i in range(30))
+    info = StateInfo(names, ("",) * 30, (), 1)
+    states = np.zeros((2, 30))
+    demos = Demos.from_episodes(
+        info, [Episode(states, np.zeros((1, 1)), np.arange(2.0), states[0], False, 0, seed=0)]
+    )
+    assert "<b7>, ... (30 in all)" in repr(demos) and "<b8>" not in repr(demos)
+    assert "<b7>" not in demos._repr_html_() and "&lt;b7&gt;" in demos._repr_html_()

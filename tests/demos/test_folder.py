@@ -5,9 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.describe import describe
-from planspace.demos.folder import DemoFolder, StoredDemos, load_demos
+from planspace.demos.episode import Episode
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
+from planspace.demos.state_info import StateInfo
+from planspace.demos.stored import StoredDemos
 from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import read_sealed, write_sealed
@@ -22,7 +26,7 @@ def episode(index: int, length: int = 5) -> Episode:
     )
 
 
-def test_shards_lie_end_to_end_whatever_the_cuts(tmp_path: Path) -> None:
+def test_the_content_does_not_depend_on_the_division_into_shards(tmp_path: Path) -> None:
     one, three = DemoFolder(tmp_path / "one", INFO, {}), DemoFolder(tmp_path / "three", INFO, {})
     episodes = [episode(0), episode(1, 3), episode(2, 7)]
     one.append(episodes, 3)
@@ -37,7 +41,7 @@ def test_shards_lie_end_to_end_whatever_the_cuts(tmp_path: Path) -> None:
     assert changed.hash != a.hash
 
 
-def test_a_missing_or_altered_shard_is_named(tmp_path: Path) -> None:
+def test_errors_name_a_missing_or_altered_shard(tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
     shard = tmp_path / "shard-00000.safetensors"
     data = bytearray(shard.read_bytes())
@@ -58,21 +62,21 @@ def test_an_altered_manifest_is_found(tmp_path: Path) -> None:
         load_demos(tmp_path)
 
 
-def test_other_settings_are_refused_with_the_difference(tmp_path: Path) -> None:
+def test_errors_name_the_settings_that_differ(tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {"seed": 0}).append([episode(0)], 1)
     with pytest.raises(PlanspaceError, match="other settings: seed was 0, now 1"):
         DemoFolder(tmp_path, INFO, {"seed": 1})
 
 
-def test_nan_is_refused_with_its_place(tmp_path: Path) -> None:
+def test_errors_name_the_row_of_a_nan(tmp_path: Path) -> None:
     bad = episode(4)
     bad.states[3, 1] = np.nan
-    with pytest.raises(PlanspaceError, match="demonstration 4 holds a state that is not finite, in row 3"):
+    with pytest.raises(PlanspaceError, match="demonstration 4 has a state that is not finite, in row 3"):
         DemoFolder(tmp_path, INFO, {}).append([bad], 1)
     assert not (tmp_path / "manifest.json").exists()
 
 
-def test_a_stored_dataset_is_read_a_shard_at_a_time(tmp_path: Path) -> None:
+def test_a_stored_dataset_is_read_one_shard_at_a_time(tmp_path: Path) -> None:
     folder = DemoFolder(tmp_path, INFO, {})
     folder.append([episode(0), episode(1, 3)], 2)
     folder.append([episode(2, 7)], 3)
@@ -89,7 +93,7 @@ def test_a_stored_dataset_is_read_a_shard_at_a_time(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stored.states_at(rows[0]), whole.states[rows[0]])
 
 
-def test_a_hash_is_of_numbers_not_of_their_types(tmp_path: Path) -> None:
+def test_the_hash_does_not_depend_on_number_types(tmp_path: Path) -> None:
     single = replace(episode(0), states=episode(0).states.astype(np.float32))
     DemoFolder(tmp_path, INFO, {}).append([single], 1)
     assert (
@@ -99,7 +103,7 @@ def test_a_hash_is_of_numbers_not_of_their_types(tmp_path: Path) -> None:
     )
 
 
-def test_no_file_elsewhere_is_opened(tmp_path: Path) -> None:
+def test_files_in_other_folders_are_not_opened(tmp_path: Path) -> None:
     DemoFolder(tmp_path / "demos", INFO, {}).append([episode(0)], 1)
     DemoFolder(tmp_path / "other", INFO, {}).append([episode(0)], 1)
     manifest = read_sealed(tmp_path / "demos" / "manifest.json")
@@ -107,16 +111,14 @@ def test_no_file_elsewhere_is_opened(tmp_path: Path) -> None:
     write_sealed(tmp_path / "demos" / "manifest.json", manifest)
     stored = StoredDemos(tmp_path / "demos")
     for read in (lambda: list(stored.shards()), lambda: stored.hash, lambda: stored.states_at(np.array([0]))):
-        with pytest.raises(PlanspaceError, match="is no name of a shard"):
+        with pytest.raises(PlanspaceError, match="is not a valid shard name"):
             read()
 
 
 @pytest.mark.parametrize(
     "change", [{"episodes": -5}, {"episodes": 10**15}, {"states": 1e3}, {"states": 2**60}]
 )
-def test_a_manifest_that_makes_no_sense_is_refused_before_anything_is_made_of_it(
-    change: dict, tmp_path: Path
-) -> None:
+def test_an_invalid_manifest_is_refused(change: dict, tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
     manifest = read_sealed(tmp_path / "manifest.json")
     manifest["shards"][0] |= change
@@ -125,15 +127,17 @@ def test_a_manifest_that_makes_no_sense_is_refused_before_anything_is_made_of_it
         describe(tmp_path)
 
 
-def test_rows_that_are_not_there_are_refused(tmp_path: Path) -> None:
+def test_rows_out_of_range_are_refused(tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
     stored = StoredDemos(str(tmp_path))
     for row in (-1, 5):
-        with pytest.raises(PlanspaceError, match=rf"rows {row} to {row} are asked for; .* has 0 to 4"):
+        with pytest.raises(
+            PlanspaceError, match=rf"rows {row} to {row} are out of range; .* has rows 0 to 4"
+        ):
             stored.states_at(np.array([row]))
 
 
-def test_the_hash_of_a_damaged_dataset_is_not_given(tmp_path: Path) -> None:
+def test_a_damaged_dataset_has_no_hash(tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
     shard = tmp_path / "shard-00000.safetensors"
     data = bytearray(shard.read_bytes())
@@ -143,23 +147,24 @@ def test_the_hash_of_a_damaged_dataset_is_not_given(tmp_path: Path) -> None:
         _ = StoredDemos(tmp_path).hash
 
 
-def test_a_shard_larger_than_its_manifest_says_is_not_read(tmp_path: Path) -> None:
+def test_a_shard_that_is_larger_than_its_manifest_allows_is_not_read(tmp_path: Path) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
     shard = tmp_path / "shard-00000.safetensors"
     os.truncate(shard, 1 << 20)
-    with pytest.raises(PlanspaceError, match=rf"{shard} was altered .*{1 << 20} bytes, its manifest says at"):
+    with pytest.raises(
+        PlanspaceError, match=rf"{shard} was altered .*{1 << 20} bytes, its manifest allows at"
+    ):
         load_demos(tmp_path)
 
 
-def test_shards_are_as_large_as_they_may_be(tmp_path: Path) -> None:
-    """A manifest says no less than what a shard of many short demonstrations has."""
+def test_the_size_limit_admits_a_shard_of_many_short_demonstrations(tmp_path: Path) -> None:
     states, times = np.zeros((2, 2)), np.arange(2.0)
     short = [Episode(states, np.zeros((1, 1)), times, np.zeros(2), True, i, seed=0) for i in range(2000)]
     DemoFolder(tmp_path, INFO, {}).append(short, 2000)
     assert len(load_demos(tmp_path)) == 2000
 
 
-def test_what_does_not_fit_in_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_running_out_of_memory_is_a_short_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     DemoFolder(tmp_path, INFO, {}).append([episode(0)], 1)
 
     def fail(_: object) -> None:

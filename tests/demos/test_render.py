@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
 from planspace.demos.render import FilmConfig, render_demos
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.rendering import rendering_backend
 from planspace.plan.demonstrations import state_info

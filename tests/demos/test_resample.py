@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Episode, StateInfo
+from planspace.demos.episode import Episode
 from planspace.demos.recording import recorded
 from planspace.demos.resample import common_step, resample, with_continuous_angles
+from planspace.demos.state_info import StateInfo
 from planspace.mjcf.assets import ASSETS
 
 MJCF = (ASSETS / "cartpole.xml").read_text()

@@ -7,7 +7,8 @@ import numpy as np
 import optax
 import pytest
 
-from planspace.demos.dataset import Demos, Episode
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
 from planspace.embed import fit as module
 from planspace.embed import training
 from planspace.embed.config import PRESETS

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import import_npz
-from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.demos.folder import load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.load import load_demos
+from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
     Geometry,

@@ -5,7 +5,9 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.embed.config import PAPER_SPACINGS, PRESETS
 from planspace.embed.embedding import Inputs
 from planspace.embed.samples import make_samples, shuffle

@@ -5,8 +5,9 @@ import io
 import matplotlib.figure
 import numpy as np
 
-from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
+from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding, Inputs
 
 NAMES, UNITS = ("p", "q", "r", "s", "t"), ("m", "", "m/s", "rad/s", "N")

@@ -3,8 +3,9 @@ import io
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
+from planspace.demos.state_info import StateInfo
 from planspace.figures.demos import plot_demos
 
 BALL = tuple(f"ball_{axis}" for axis in ("w", "x", "y", "z"))

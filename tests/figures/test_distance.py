@@ -2,8 +2,9 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
+from planspace.demos.state_info import StateInfo
 from planspace.figures.distance import MAX_DRAWN, plot_distance_against_time
 from tests.figures.examples import linear, random_demos, rendered
 

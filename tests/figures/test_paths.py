@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, StateInfo
+from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
+from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.errors import PlanspaceError
 from planspace.figures.distance import plot_distance_against_time

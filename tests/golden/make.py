@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import load_embedding
 from planspace.rl.config import TrainConfig

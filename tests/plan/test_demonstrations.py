@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.plan.config import PlanConfig, PolishConfig
 from planspace.plan.demonstrations import plan_into

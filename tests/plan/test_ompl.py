@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.physics.replay import replay
 from planspace.plan.config import PlanConfig

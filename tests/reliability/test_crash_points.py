@@ -12,8 +12,9 @@ import pytest
 
 from planspace.demos.convert import import_npz
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import DemoFolder, load_demos
-from planspace.demos.npz_files import export_npz
+from planspace.demos.folder import DemoFolder
+from planspace.demos.formats.npz import write_npz
+from planspace.demos.load import load_demos
 from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
@@ -69,7 +70,7 @@ def first_shard(demos: Demos) -> Artefact:
 
 
 def import_of(demos: Demos, source: Path) -> Artefact:
-    export_npz(demos, source)
+    write_npz(demos, source)
 
     def read(root: Path) -> str | None:
         path = root / "imported"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planspace.cli.repair import repair
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError

@@ -11,7 +11,8 @@ import pytest
 
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors, validate
-from planspace.demos.folder import DemoFolder, load_demos
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace

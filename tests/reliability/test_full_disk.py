@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from planspace.cli import main
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.embedding import load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.history import load_history

@@ -20,10 +20,12 @@ import numpy as np
 import pytest
 
 from planspace.cli import main
-from planspace.demos.convert import ImportOptions, import_demos
+from planspace.demos.convert import import_demos
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import validate
-from planspace.demos.folder import DemoFolder, load_demos
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
+from planspace.demos.recording import ImportOptions
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf import subprocess_model as apart

@@ -21,10 +21,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from planspace.cli.repair import repair
-from planspace.demos.convert import ImportOptions, import_demos
-from planspace.demos.dataset import Episode, StateInfo
-from planspace.demos.folder import DemoFolder, load_demos
-from planspace.demos.minari import write_minari
+from planspace.demos.convert import import_demos
+from planspace.demos.episode import Episode
+from planspace.demos.folder import DemoFolder
+from planspace.demos.formats.minari import write_minari
+from planspace.demos.load import load_demos
+from planspace.demos.recording import ImportOptions
+from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError

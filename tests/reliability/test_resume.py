@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import MANIFEST, DemoFolder, load_demos
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
+from planspace.demos.manifest import MANIFEST
 from planspace.embed import training as embed_training
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit

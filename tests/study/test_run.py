@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.errors import PlanspaceError
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into

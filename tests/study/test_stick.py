@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.study.stick_figure import FRAMES, stick_film
 from planspace.tasks.catalog import TASKS
 

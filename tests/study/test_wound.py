@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.replay import replay
 from planspace.study.plans_2020 import MAX_STEPS, distance_of_2020, wound_plans

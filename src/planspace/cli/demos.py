@@ -62,7 +62,7 @@ class Plot:
 
     def __call__(self) -> None:
         """Draw and save the figure."""
-        from planspace.demos.folder import load_demos
+        from planspace.demos.load import load_demos
         from planspace.figures.demos import plot_demos
         from planspace.figures.style import save_figure
         from planspace.storage.files import make_folder
@@ -91,7 +91,7 @@ class Render:
 
     def __call__(self) -> None:
         """Render and save the film."""
-        from planspace.demos.folder import load_demos
+        from planspace.demos.load import load_demos
         from planspace.demos.render import FilmConfig, render_demos
         from planspace.mjcf.subprocess_model import check_compiles
 
@@ -157,7 +157,7 @@ class Export:
     def __call__(self) -> None:
         """Export the dataset."""
         from planspace.demos.convert import export_demos
-        from planspace.demos.folder import load_demos
+        from planspace.demos.load import load_demos
 
         print(export_demos(load_demos(self.folder), self.target))
 

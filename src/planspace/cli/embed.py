@@ -66,7 +66,7 @@ class Embed:
 
     def __call__(self) -> None:
         """Trains it and prints its geometry on the test split."""
-        from planspace.demos.folder import load_demos
+        from planspace.demos.load import load_demos
         from planspace.embed.config import PRESETS
         from planspace.embed.fit import fit
         from planspace.embed.training import use_device

@@ -33,7 +33,7 @@ class Measure:
 
     def __call__(self) -> None:
         """Print the metrics."""
-        from planspace.demos.folder import load_demos
+        from planspace.demos.load import load_demos
         from planspace.embed.embedding import load_embedding
         from planspace.embed.measurement import assess
         from planspace.storage.files import make_folder

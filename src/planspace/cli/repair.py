@@ -46,7 +46,7 @@ def repair(folder: Path) -> list[str]:
 
 
 def _checks() -> tuple[Check, ...]:
-    from planspace.demos import folder as demo_folder
+    from planspace.demos.manifest import MANIFEST
     from planspace.embed import embedding
     from planspace.rl import history, saved_policy
     from planspace.storage import checkpoint
@@ -71,15 +71,15 @@ def _checks() -> tuple[Check, ...]:
         ),
         Check(checkpoint.FILE.name, unreadable(read_arrays)),
         Check("*.json", unreadable(read_sealed), folder="units"),
-        Check(demo_folder.MANIFEST, _damaged_shards),
+        Check(MANIFEST, _damaged_shards),
     )
 
 
 def _damaged_shards(manifest: Path) -> Iterator[Damage]:
-    from planspace.demos.folder import keep_whole_shards
+    from planspace.demos.folder import remove_damaged_shards
 
     try:
-        damaged = keep_whole_shards(manifest.parent)
+        damaged = remove_damaged_shards(manifest.parent)
     except PlanspaceError as error:
         yield Damage(manifest, str(error))
         return

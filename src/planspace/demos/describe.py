@@ -1,27 +1,73 @@
-"""What a dataset holds, and whether it is what it says it is."""
+"""Describe and validate a dataset."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
+from planspace.demos.convert import load_source
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import MINARI_PREFIX, StoredDemos, load_demos
+from planspace.demos.formats.registry import find_format
+from planspace.demos.stored import StoredDemos
 from planspace.errors import PlanspaceError
 from planspace.mjcf.subprocess_model import check_compiles
 from planspace.physics.replay import replay
 from planspace.progress import progress_over
 
 REPLAY_TOLERANCE = 1e-6
-"""Largest difference of a replayed state [m, rad, m/s, rad/s] on the MuJoCo that recorded it."""
+"""Largest accepted difference of a replayed state [m, rad, m/s, rad/s]."""
 LARGEST_NUMBER = 1e10
-"""MuJoCo takes a state beyond for one that ran away (its mjMAXVAL)."""
+"""MuJoCo treats a state with larger numbers as diverged (its mjMAXVAL)."""
 
 
-def describe(folder: Path) -> dict[str, Any]:
-    """Counts, sizes and durations of a dataset."""
-    demos = _opened(folder)
+class Spread(TypedDict):
+    """Range of a quantity over demonstrations."""
+
+    min: float
+    median: float
+    max: float
+
+
+class Description(TypedDict):
+    """The content of a dataset."""
+
+    demonstrations: int
+    states: int
+    reached_goal: int
+    """Number of demonstrations that end at their goal."""
+    state: dict[str, str]
+    """Unit of each state, by name."""
+    circular: list[str]
+    """States that are angles on a circle."""
+    controls: int
+    problem: str
+    made_by: dict[str, Any]
+    """The planner and seed, or the imported source."""
+    states_per_demonstration: Spread
+    duration_s: Spread
+    hash: str
+
+
+class Validation(TypedDict):
+    """The result of `validate`."""
+
+    demonstrations: int
+    hash: str
+    replay_error: NotRequired[float]
+    """Largest difference between recorded and replayed states, if controls were replayed."""
+
+
+def describe(folder: Path) -> Description:
+    """Count and summarise the demonstrations of a dataset.
+
+    Args:
+        folder: the folder of the dataset, or `minari:ID`.
+
+    Raises:
+        PlanspaceError: the dataset cannot be read.
+    """
+    demos = _open(folder)
     info, reached = demos.info, 0
     numbers, times = [], []
     for _, part in _parts(demos):
@@ -38,24 +84,24 @@ def describe(folder: Path) -> dict[str, Any]:
         "controls": info.num_controls,
         "problem": info.problem,
         "made_by": _origin(demos, folder),
-        "states_a_demonstration": _spread(lengths),
+        "states_per_demonstration": _spread(lengths),
         "duration_s": _spread(durations),
         "hash": demos.hash,
     }
 
 
-def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) -> dict[str, Any]:
-    """Verifies hashes, numbers that a robot can have, rising times, and on request that the controls replay.
+def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) -> Validation:
+    """Check the hashes, numbers and times of a dataset, and optionally replay its controls.
 
     Args:
-        folder: the dataset's.
-        replay_controls: whether to replay them in its model.
-        untrusted: whether to try the model first in a process of its own.
+        folder: the folder of the dataset, or `minari:ID`.
+        replay_controls: whether to simulate the controls and compare the states.
+        untrusted: whether to compile the model in a separate process first.
 
     Raises:
-        PlanspaceError: something does not hold; the shard or demonstration is named.
+        PlanspaceError: a check failed; the message names the shard or demonstration.
     """
-    demos = _opened(folder)
+    demos = _open(folder)
     if replay_controls and untrusted:
         check_compiles(demos.info.mjcf)
     worst = 0.0
@@ -64,8 +110,10 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
         _check_times(part, first, folder)
         if replay_controls:
             worst = max(worst, _check_replay(part, first, folder))
-    found: dict[str, Any] = {"demonstrations": len(demos), "hash": demos.hash}
-    return found | ({"replay_error": worst} if replay_controls else {})
+    found = Validation(demonstrations=len(demos), hash=demos.hash)
+    if replay_controls:
+        found["replay_error"] = worst
+    return found
 
 
 def _check_numbers(part: Demos, first: int, folder: Path) -> None:
@@ -73,33 +121,33 @@ def _check_numbers(part: Demos, first: int, folder: Path) -> None:
         e = part.episode(i)
         numbers = {"state": e.states, "control": e.controls, "goal": e.goal, "cost": np.array([e.cost])}
         for name, values in numbers.items():
-            large = values[np.abs(values) > LARGEST_NUMBER]  # not NaN: of a goal or a cost nothing is known
+            large = values[np.abs(values) > LARGEST_NUMBER]  # unknown goals and costs are NaN
             if len(large):
                 raise PlanspaceError(
-                    f"{folder}: demonstration {first + i} holds a {name} with the number {large[0]:.3g}; no "
-                    f"robot's is beyond {LARGEST_NUMBER:.0e}."
+                    f"{folder}: demonstration {first + i} has a {name} with {large[0]:.3g}; numbers "
+                    f"must not exceed {LARGEST_NUMBER:.0e}."
                 )
 
 
 def _check_times(part: Demos, first: int, folder: Path) -> None:
     for i in range(len(part)):
         if (np.diff(part.episode(i).times) <= 0).any():
-            raise PlanspaceError(f"{folder}: the times of demonstration {first + i} do not rise.")
+            raise PlanspaceError(f"{folder}: the times of demonstration {first + i} do not increase.")
 
 
 def _check_replay(part: Demos, first: int, folder: Path) -> float:
     errors = replay_errors(part)
-    if not errors.max() <= REPLAY_TOLERANCE:  # it may be no number, where physics run away
+    if not errors.max() <= REPLAY_TOLERANCE:  # `not <=` because it is NaN if the simulation diverges
         raise PlanspaceError(
-            f"{folder}: replaying the controls of demonstration {first + int(errors.argmax())} misses its "
-            f"states by up to {errors.max():.2g}; another MuJoCo recorded it, or it is no record of this "
-            "model."
+            f"{folder}: replaying the controls of demonstration {first + int(errors.argmax())} gives states "
+            f"that differ by up to {errors.max():.2g}; it was recorded with another version of MuJoCo or "
+            "another model."
         )
     return float(errors.max())
 
 
 def replay_errors(demos: Demos) -> np.ndarray:
-    """The largest difference between recorded and replayed states of each demonstration.
+    """Largest difference between recorded and replayed states, for each demonstration.
 
     Raises:
         PlanspaceError: the dataset has no model.
@@ -113,12 +161,13 @@ def replay_errors(demos: Demos) -> np.ndarray:
     return np.array(errors)
 
 
-def _opened(folder: Path) -> Demos | StoredDemos:
-    return load_demos(folder) if str(folder).startswith(MINARI_PREFIX) else StoredDemos(folder)
+def _open(folder: Path) -> Demos | StoredDemos:
+    fmt = find_format(str(folder))
+    return load_source(str(folder)) if fmt and not fmt.is_file else StoredDemos(folder)
 
 
 def _parts(demos: Demos | StoredDemos) -> Iterator[tuple[int, Demos]]:
-    """The number of its first demonstration, and a shard; one in memory at a time."""
+    """Each shard in turn, with the number of its first demonstration."""
     first = 0
     for part in [demos] if isinstance(demos, Demos) else demos.shards():
         yield first, part
@@ -126,11 +175,12 @@ def _parts(demos: Demos | StoredDemos) -> Iterator[tuple[int, Demos]]:
 
 
 def _origin(demos: Demos | StoredDemos, folder: Path) -> dict[str, Any]:
-    """What planned the demonstrations, or where they were imported from."""
+    """The planner and seed, or the imported source."""
     if isinstance(demos, Demos):
         return {"imported": str(folder)}
-    return {key: demos.settings[key] for key in ("planner", "seed", "imported") if key in demos.settings}
+    shown = ("planner", "seed", "imported")
+    return {key: value for key, value in demos.settings.items() if key in shown}
 
 
-def _spread(x: np.ndarray) -> dict[str, float]:
-    return {"least": float(x.min()), "median": float(np.median(x)), "most": float(x.max())}
+def _spread(x: np.ndarray) -> Spread:
+    return {"min": float(x.min()), "median": float(np.median(x)), "max": float(x.max())}

@@ -1,57 +1,63 @@
-"""What the importers have in common: options, a demonstration as a file has it, and what a source gave."""
+"""What all readers of demonstrations share: their options, their result, and checks."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import Episode, StateInfo
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
+
+OptionName = Literal["state", "control", "dt"]
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """How a source is read."""
+    """How to read a source."""
 
     states: dict[str, str] = field(default_factory=dict)
-    """State name to the column, or the number of an observation, that holds it."""
+    """For each state, the column (or the position in an observation) that contains it."""
     controls: dict[str, str] = field(default_factory=dict)
-    """Control name (`control1` ..., or an actuator's) to the column that holds it."""
+    """For each control (`control1` ..., or the name of an actuator), the column that contains it."""
     dt: float | None = None
-    """Seconds between states, for a source that does not say when they were recorded."""
+    """Time between states [s], for a source that does not record times."""
     as_recorded: bool = False
-    """Keep uneven time steps and wound-up angles; the study of the 2020 data needs both."""
+    """Keep uneven time steps and angles with full turns; the study of the 2020 data needs both."""
 
     def __post_init__(self) -> None:
-        """Refuses a time step that is none."""
+        """Check the time step."""
         if self.dt is not None and not (math.isfinite(self.dt) and self.dt > 0):
             raise UsageError(f"--dt must be a positive number of seconds, got {self.dt}.")
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What a source holds."""
+    """The content of a source."""
 
     info: StateInfo
+    """The meaning of the states."""
     episodes: Iterable[Episode]
-    """The demonstrations in order; most sources are read as they are asked for, once."""
+    """The demonstrations in order. Most readers return a generator, which can be used once."""
     notices: tuple[str, ...] = ()
-    """What was assumed, one line each."""
+    """What the reader assumed, one line each."""
     keep_angles: bool = False
-    """Whether angles stay where the file has them, instead of ending in (-pi, pi]."""
+    """Whether to keep full turns in angles, instead of shifting each angle to end in (-pi, pi]."""
 
 
 def assignments(option: str, texts: Sequence[str]) -> dict[str, str]:
-    """Reads repeated NAME=COLUMN arguments.
+    """Parse repeated NAME=COLUMN arguments.
 
     Args:
-        option: the option they were given to, for messages.
-        texts: each `NAME=COLUMN`; the column may hold further equals signs.
+        option: the option that they belong to, for messages.
+        texts: the arguments; a column may contain equals signs.
 
     Raises:
-        UsageError: there is no equals sign, a side is empty, or a name comes twice.
+        UsageError: an argument is malformed, or a name is given twice.
     """
     found: dict[str, str] = {}
     for text in texts:
@@ -65,7 +71,7 @@ def assignments(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def anonymous_info(num_states: int, num_controls: int) -> StateInfo:
-    """What is known of states that come without names: `state0`, `state1` ..., none of them circular."""
+    """Describe states without names: `state0`, `state1`, ..., with no angles."""
     names = tuple(f"state{i}" for i in range(num_states))
     return StateInfo(names, ("",) * num_states, (), num_controls)
 
@@ -76,65 +82,68 @@ def recorded(
     times: Float[np.ndarray, " time"],
     index: int,
 ) -> Episode:
-    """An episode of which no more is known than its course; its clock is set to start at 0.
+    """Build an episode without a known goal; times are shifted to start at 0.
 
     Args:
         states: T + 1 states.
         controls: T controls, each held until the next state.
-        times: when each state was reached [s].
-        index: its number among the demonstrations.
+        times: time of each state [s].
+        index: number of the demonstration.
     """
     goal = np.full(states.shape[1], np.nan)
     return Episode(states, controls, times - times[0], goal, success=False, index=index, seed=0)
 
 
 def finite_number(text: str) -> float:
-    """Reads a number.
+    """Parse a finite number.
 
     Raises:
-        ValueError: it is none, or not finite.
+        ValueError: the text is not a finite number.
     """
     value = float(text)
-    if not math.isfinite(value) or "_" in text:  # Python reads 1_000 as a number; other programs do not
+    if not math.isfinite(value) or "_" in text:  # Python accepts 1_000; other programs do not
         raise ValueError(text)
     return value
 
 
 def check_rising(times: Float[np.ndarray, " time"], place: Callable[[int], str]) -> None:
-    """Refuses times that stand still or go back.
+    """Check that times increase.
 
     Args:
         times: the times of one demonstration [s].
-        place: where a time stands by its number, such as `demo.csv, line 4`.
+        place: returns where the i-th time is, such as `demo.csv, line 4`.
 
     Raises:
-        PlanspaceError: some time is not later than the one before it (its place is named).
+        PlanspaceError: a time is not later than the previous one. The message names its place.
     """
     bad = np.flatnonzero(np.diff(times) <= 0)
     if len(bad):
         i = int(bad[0]) + 1
         raise PlanspaceError(
-            f"{place(i)}: the time {times[i]:.9g} does not come after {times[i - 1]:.9g}; the states of a "
-            "demonstration must be in order, each at its own time."
+            f"{place(i)}: the time {times[i]:.9g} does not come after {times[i - 1]:.9g}; times must "
+            "increase within a demonstration."
         )
 
 
-def refuse(options: ImportOptions, source: str, *, states: bool, controls: bool, dt: bool) -> None:
-    """Refuses options that a kind of source cannot use, rather than passing over them.
+def check_options(options: ImportOptions, source: str, *usable: OptionName) -> None:
+    """Refuse options that a format cannot use, instead of ignoring them.
 
     Args:
-        options: what was asked for.
+        options: the options of the user.
         source: the source, for messages.
-        states: whether `--state` has a meaning here.
-        controls: whether `--control` has one.
-        dt: whether `--dt` has one.
+        usable: the options that the format uses.
 
     Raises:
-        UsageError: an option was given that has none.
+        UsageError: another option was given.
     """
-    given = {"--state": options.states, "--control": options.controls, "--dt": options.dt}
-    usable = {"--state": states, "--control": controls, "--dt": dt}
-    for option, value in given.items():
-        if value and not usable[option]:
-            why = "has times of its own" if option == "--dt" else "has no named columns to choose from"
-            raise UsageError(f"{option} has no meaning for {source}, which {why}; leave it out.")
+    given = {"state": options.states, "control": options.controls, "dt": options.dt}
+    for name, value in given.items():
+        if value and name not in usable:
+            why = "has its own times" if name == "dt" else "has no named columns to choose from"
+            raise UsageError(f"--{name} cannot be used with {source}, which {why}; leave it out.")
+
+
+def source_name(sources: Sequence[str]) -> str:
+    """A short name for one or several files, for messages and for the manifest."""
+    first = Path(sources[0]).name
+    return first if len(sources) == 1 else f"{first} and {len(sources) - 1} more"

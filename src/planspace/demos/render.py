@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from planspace.demos.dataset import Demos, Episode
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
 from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.progress import progress

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import Episode, StateInfo
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.physics.angles import TWO_PI, unwrap_to_end
 from planspace.physics.quaternion import normalise

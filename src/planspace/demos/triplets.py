@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import StoredDemos
+from planspace.demos.stored import StoredDemos
 from planspace.errors import PlanspaceError
 
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.figures.projection import principal_components
 

@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.demos.folder import DemoFolder, load_demos
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
+from planspace.demos.manifest import DatasetSettings
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulator import Simulator
 from planspace.plan.config import PlanConfig, find_planner
@@ -131,7 +135,7 @@ def state_info(problem: Problem) -> StateInfo:
     return StateInfo.of_model(model, space, problem=problem.name, joints=problem.joints, mjcf=problem.mjcf)
 
 
-def _settings(problem: Problem, config: PlanConfig, seed: int) -> dict[str, Any]:
+def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSettings:
     """What decides the content of a dataset, as the manifest records it."""
     return {
         "problem": problem.hash,
@@ -142,7 +146,7 @@ def _settings(problem: Problem, config: PlanConfig, seed: int) -> dict[str, Any]
     }
 
 
-def upgrade_settings(settings: dict[str, Any]) -> dict[str, Any]:
+def upgrade_settings(settings: DatasetSettings) -> DatasetSettings:
     """A manifest's settings as this version writes them.
 
     Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`.
@@ -157,7 +161,7 @@ def upgrade_settings(settings: dict[str, Any]) -> dict[str, Any]:
         "polish": config["polish"],
         "regulator": config["regulator"],
     }
-    return settings | {"config": current}
+    return settings | DatasetSettings(config=current)
 
 
 def _plan_missing(

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import Episode
+from planspace.demos.episode import Episode
 from planspace.physics.angles import unwrap_to_end
 from planspace.physics.replay import advance
 from planspace.physics.simulator import Simulator

@@ -9,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 from multiprocessing.reduction import ForkingPickler
 
-from planspace.demos.dataset import Episode
+from planspace.demos.episode import Episode
 from planspace.errors import PlanspaceError, UsageError
 from planspace.plan.config import PlanConfig
 from planspace.plan.pipeline import Pipeline

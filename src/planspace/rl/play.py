@@ -4,7 +4,9 @@ import gymnasium
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import Demos, Episode, StateInfo
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
 from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.demos.folder import load_demos
+from planspace.demos.load import load_demos
 from planspace.embed.embedding import Embedding, load_embedding
 from planspace.embed.fit import fit
 from planspace.embed.training_log import read_log

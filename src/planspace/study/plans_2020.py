@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.dataset import Episode
+from planspace.demos.episode import Episode
 from planspace.demos.folder import DemoFolder
+from planspace.demos.manifest import DatasetSettings
 from planspace.errors import PlanspaceError
 from planspace.physics.simulator import Simulator
 from planspace.plan.demonstrations import SHARD_EPISODES, state_info
@@ -55,7 +56,7 @@ def wound_plans(problem: Problem, out: Path, num: int, seed: int) -> DemoFolder:
         raise PlanspaceError(f"poles are wound up in {PROBLEM} alone, not in {problem.name}.")
     model, space = problem.compile()
     simulator = Simulator(model, space, PUSHES, threads=1)
-    settings = {"problem": problem.hash, "planner": "wound up as in 2020", "seed": seed}
+    settings = DatasetSettings(problem=problem.hash, planner="wound up as in 2020", seed=seed)
     folder = DemoFolder(out, state_info(problem), settings)
     batch: list[Episode] = []
     with progress("plan", num, done=folder.next_index, unit="plan") as bar:

@@ -1,58 +1,60 @@
-"""Which columns of a table hold the time, the states and the controls."""
+"""Choose the columns of a table that contain the time, the states and the controls."""
 
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from planspace.demos.dataset import StateInfo
 from planspace.demos.recording import ImportOptions
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, unknown
 
 TIME_NAMES = ("time", "t")
 EPISODE_NAME = "episode"
 MAX_COLUMNS = 10_000
-"""No robot has so many joints."""
-NO_CONTROLS = "the source has no controls: zeros are stored in their place."
+"""A table with more columns is rejected; no robot has this many joints."""
+NO_CONTROLS = "the source has no controls: zeros are stored instead."
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Where a table has what."""
+    """The columns of a table by their content."""
 
     info: StateInfo
-    """What the states are: the problem's, or the columns' own names."""
+    """The states of the planning problem, or states named as their columns."""
     time: int | None
+    """Column of the time; None if there is no such column."""
     states: tuple[int, ...]
+    """Column of each state."""
     controls: tuple[int, ...]
-    """Empty where the table has none; `info.num_controls` says how many there should be."""
+    """Column of each control; empty if the table has no controls."""
     episode: int | None
-    """Which column numbers the demonstrations."""
+    """Column with the number of the demonstration; None if there is no such column."""
 
 
 def choose_columns(
     header: Sequence[str], info: StateInfo | None, options: ImportOptions, where: str
 ) -> Columns:
-    """Chooses columns by name.
+    """Choose columns by name.
 
     Args:
-        header: the columns' names.
-        info: the problem's states, if there is a problem: each is looked for under its own name, or the
-            one `options.states` gives. Without it the states are those of `options.states`, or all columns
-            that are not time, episode or controls.
-        options: the columns the caller named.
+        header: the names of the columns.
+        info: the states of the planning problem. Each is in the column that `options.states` gives, or in the
+            column with its own name. If None, the states are those in `options.states`, or all columns
+            except time, episode and controls.
+        options: the columns that the user named.
         where: the file, for messages.
 
     Raises:
         UsageError: an option names a state or control that the problem does not have.
-        PlanspaceError: a column is missing or comes twice (the nearest name is suggested), or there are too
-            many.
+        PlanspaceError: a column is missing (the message suggests a similar name) or duplicated, or there are
+            too many columns.
     """
     if len(header) > MAX_COLUMNS:
-        raise PlanspaceError(f"{where} has {len(header)} columns; {MAX_COLUMNS} may be.")
+        raise PlanspaceError(f"{where} has {len(header)} columns; at most {MAX_COLUMNS} are allowed.")
     twice = sorted(name for name, count in Counter(header).items() if count > 1)
     if twice:
-        raise PlanspaceError(f"{where} has two columns {twice[0]!r}; each needs a name of its own.")
+        raise PlanspaceError(f"{where} has two columns named {twice[0]!r}; rename one of them.")
     taken = set(options.states.values()) | (set(info.names) if info else set())
     free = [name for name in header if name not in taken]
     time = next((name for name in TIME_NAMES if name in free), None)
@@ -63,12 +65,12 @@ def choose_columns(
                 raise unknown("state", name, info.names)
         states = [options.states.get(name, name) for name in info.names]
     else:
-        spoken_for = {time, EPISODE_NAME, *controls}
-        states = list(options.states.values()) or [name for name in free if name not in spoken_for]
+        used = {time, EPISODE_NAME, *controls}
+        states = list(options.states.values()) or [name for name in free if name not in used]
         names = tuple(options.states) or tuple(states)
         info = StateInfo(names, ("",) * len(names), (), len(controls))
     if not states:
-        raise PlanspaceError(f"{where} has no column left for a state; it has {', '.join(header)}.")
+        raise PlanspaceError(f"{where} has no column with a state; its columns are {', '.join(header)}.")
     position = {name: i for i, name in enumerate(header)}
     for name in (*states, *controls):
         if name not in position:
@@ -83,7 +85,7 @@ def choose_columns(
 
 
 def _control_columns(free: Sequence[str], info: StateInfo | None, options: ImportOptions) -> list[str]:
-    """The columns of the controls in order; empty if there are none, or all of them are missing."""
+    """The columns of the controls in order; empty if the table has none of them."""
     if info is None:
         return list(options.controls.values()) or _numbered(free)
     actuators = _actuators(info)
@@ -104,14 +106,14 @@ def _control_columns(free: Sequence[str], info: StateInfo | None, options: Impor
 
 
 def _numbered(free: Sequence[str]) -> list[str]:
-    """The columns control0, control1 ... or control1, control2 ... that are there."""
+    """The columns named control0, control1, ... or control1, control2, ... that exist."""
     numbers = sorted(int(m[1]) for m in (re.fullmatch(r"control(\d{1,4})", name) for name in free) if m)
     return [f"control{i}" for i in numbers]
 
 
 def _actuators(info: StateInfo) -> list[str]:
-    """The names of the model's actuators, where there is a model whose actuators are the controls."""
-    if not info.mjcf or info.kinematic:  # controls are joint velocities then
+    """The names of the actuators; empty if there is no model or if controls are not actuators."""
+    if not info.mjcf or info.kinematic:  # the controls of a kinematic model are joint velocities
         return []
     model, _ = info.compile()
     names = [model.actuator(i).name or f"control{i + 1}" for i in range(model.nu)]

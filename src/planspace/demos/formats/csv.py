@@ -1,4 +1,4 @@
-"""Demonstrations from and to CSV: a header, a row for each state, and the control held from that state on.
+"""CSV files: a header, then one row per state with the control that is held from that state on.
 
 episode,time,slider,hinge,slidervel,hingevel,control1
 0,0.0,-0.18,1.3,0.08,-0.03,2.5
@@ -16,85 +16,98 @@ from typing import TextIO
 import numpy as np
 from jaxtyping import Float
 
-from planspace.demos.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Columns, choose_columns
-from planspace.demos.dataset import Demos, Episode, StateInfo
-from planspace.demos.recording import Imported, ImportOptions, check_rising, finite_number, recorded
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.formats.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Columns, choose_columns
+from planspace.demos.formats.format import Format, has_suffix
+from planspace.demos.recording import (
+    Imported,
+    ImportOptions,
+    check_options,
+    check_rising,
+    finite_number,
+    recorded,
+    source_name,
+)
+from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, quoted
 from planspace.storage.checks import check_file, explain_read
+from planspace.storage.files import write_bytes
 
 MAX_LINE = 1 << 24
-"""Characters of a line; what has more is no table, and may have no end."""
+"""Longest line that is read [characters]; a longer one does not belong to a table."""
 Row = tuple[int, list[str]]
-"""A row's cells as text, and the line it ends on."""
+"""The line number and the cells of a row."""
 
 
-def read_csv(files: Sequence[Path], info: StateInfo | None, options: ImportOptions) -> Imported:
-    """Reads CSV files: one demonstration a file, or one for each value of the column `episode`.
+def read_csv(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Imported:
+    """Read CSV files: one demonstration per file, or one per value of the column `episode`.
 
     Args:
-        files: the files, in the order of the demonstrations.
-        info: the problem's states, if there is a problem.
-        options: which columns to take; `dt` where there is no column `time` (or `t`) [s].
+        sources: at least one file, in the order of the demonstrations.
+        info: the states of the planning problem; None if there is no problem.
+        options: the columns to use, and `dt` for files without a column `time` or `t`.
 
     Raises:
-        PlanspaceError: not UTF-8 text, a column is missing, a cell is no finite number, or times do not
-            rise (file, line and column are named); also while the demonstrations are read.
+        PlanspaceError: a file is not UTF-8 text, a column is missing, a cell is not a finite number, or times
+            do not increase; the message names the file, line and column. Rows are read, and these errors are
+            raised, while the caller iterates over the episodes.
     """
-    tables = [_open_table(file, info, options) for file in files]
-    if not tables:
-        raise PlanspaceError("there is no CSV file to read.")
+    check_options(options, source_name(sources), "state", "control", "dt")
+    tables = [_open_table(Path(source), info, options) for source in sources]
     first = tables[0].columns.info
     for table in tables:
         found = table.columns.info
         if found != first:
             raise PlanspaceError(
                 f"{table.file} has the states ({', '.join(found.names)}) and {found.num_controls} controls, "
-                f"{files[0]} has ({', '.join(first.names)}) and {first.num_controls}; all files of a dataset "
-                "need the same."
+                f"but {sources[0]} has ({', '.join(first.names)}) and {first.num_controls}; all files of a "
+                "dataset must have the same."
             )
-    courses = ((table, rows) for table in tables for rows in table.demonstrations())
-    episodes = (_episode(table, rows, options, i) for i, (table, rows) in enumerate(courses))
+    demonstrations = ((table, rows) for table in tables for rows in table.demonstrations())
+    episodes = (_episode(table, rows, options, i) for i, (table, rows) in enumerate(demonstrations))
     has_controls = all(table.columns.controls for table in tables)
     return Imported(first, episodes, () if has_controls else (NO_CONTROLS,))
 
 
-def csv_text(demos: Demos) -> str:
-    """Demonstrations as one CSV text, every number in full; the last row of each has no control.
+def write_csv(demos: Demos, target: str) -> Path:
+    """Write demonstrations to one CSV file, with all digits; the last row of each has no control.
 
     Raises:
-        PlanspaceError: a state has the name of another column.
+        PlanspaceError: a state has the name of another column, or the file cannot be written.
     """
     controls = [f"control{i + 1}" for i in range(demos.info.num_controls)]
     for name in demos.info.names:
         if name in (EPISODE_NAME, *TIME_NAMES, *controls):
             raise PlanspaceError(
-                f"the state {name!r} would be taken for another column of a CSV file; export to FILE.npz."
+                f"the state {name!r} has the name of another column of the CSV file; export to FILE.npz."
             )
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([EPISODE_NAME, TIME_NAMES[0], *demos.info.names, *controls])
     for i in range(len(demos)):
         e = demos.episode(i)
-        held = [*e.controls.tolist(), [""] * len(controls)]  # Python's text of a float reads back exactly
+        held = [*e.controls.tolist(), [""] * len(controls)]  # a float printed by Python reads back exactly
         for time, state, control in zip(e.times.tolist(), e.states.tolist(), held, strict=True):
             writer.writerow([i, time, *state, *control])
-    return text.getvalue()
+    write_bytes(Path(target), text.getvalue().encode())
+    return Path(target)
 
 
 @dataclass(frozen=True)
 class _Table:
-    """A file of which the header has been read."""
+    """An open file whose header has been read."""
 
     file: Path
     header: list[str]
     columns: Columns
 
     def demonstrations(self) -> Iterator[list[Row]]:
-        """The rows of each, read as they are asked for unless the file goes back and forth between them."""
+        """The rows of each demonstration, read lazily unless rows of different demonstrations are mixed."""
         column, rows = self.columns.episode, self._rows()
         if column is None:
             yield list(rows)
-        elif self._is_in_order(column):
+        elif self._is_sorted(column):
             yield from (
                 list(group) for _, group in itertools.groupby(rows, lambda row: row[1][column].strip())
             )
@@ -104,7 +117,7 @@ class _Table:
                 groups.setdefault(row[1][column].strip(), []).append(row)
             yield from groups.values()
 
-    def _is_in_order(self, column: int) -> bool:
+    def _is_sorted(self, column: int) -> bool:
         runs = [name for name, _ in itertools.groupby(cells[column].strip() for _, cells in self._rows())]
         return len(set(runs)) == len(runs)
 
@@ -114,7 +127,7 @@ class _Table:
         for line, cells in rows:
             if len(cells) != len(self.header):
                 raise PlanspaceError(
-                    f"{self.file}, line {line} has {len(cells)} cells; the header has {len(self.header)}."
+                    f"{self.file}, line {line} has {len(cells)} cells, but the header has {len(self.header)}."
                 )
             yield line, cells
 
@@ -122,13 +135,13 @@ class _Table:
 def _open_table(file: Path, info: StateInfo | None, options: ImportOptions) -> _Table:
     first = [cells for _, cells in itertools.islice(_rows(file), 2)]
     if len(first) < 2:
-        raise PlanspaceError(f"{file} needs a header and rows of numbers; it has {len(first)} lines.")
+        raise PlanspaceError(f"{file} must have a header and rows of numbers; it has {len(first)} lines.")
     header = [cell.strip() for cell in first[0]]
     return _Table(file, header, choose_columns(header, info, options, str(file)))
 
 
 def _rows(file: Path) -> Iterator[Row]:
-    """All rows that are not empty."""
+    """The line number and cells of all rows that are not empty."""
     check_file(file, may_be_link=True)
     try:
         with explain_read(file), open(file, encoding="utf-8-sig", newline="") as text:
@@ -152,10 +165,10 @@ def _lines(text: TextIO, file: Path) -> Iterator[str]:
 def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int) -> Episode:
     columns = table.columns
     if not rows:
-        raise PlanspaceError(f"{table.file} was changed while it was read.")
+        raise PlanspaceError(f"{table.file} changed while it was being read.")
     if len(rows) < 2:
         raise PlanspaceError(
-            f"{table.file}, line {rows[0][0]} is a demonstration of one state; two are needed."
+            f"{table.file}, line {rows[0][0]} is a demonstration with one state; at least two are needed."
         )
     if columns.time is not None:
         times = _numbers(table, rows, (columns.time,))[:, 0]
@@ -163,9 +176,11 @@ def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int)
     elif options.dt is not None:
         times = np.arange(len(rows)) * options.dt
     else:
-        raise PlanspaceError(f"{table.file} has no column 'time' or 't'; name it so, or give --dt SECONDS.")
+        raise PlanspaceError(
+            f"{table.file} has no column 'time' or 't'; rename its column, or give --dt SECONDS."
+        )
     if columns.controls:
-        controls = _numbers(table, rows[:-1], columns.controls)  # the last row's control leads nowhere
+        controls = _numbers(table, rows[:-1], columns.controls)  # the control in the last row is not used
     else:
         controls = np.zeros((len(rows) - 1, columns.info.num_controls))
     return recorded(_numbers(table, rows, columns.states), controls, times, index)
@@ -179,6 +194,9 @@ def _numbers(table: _Table, rows: list[Row], columns: Sequence[int]) -> Float[np
                 values[i, j] = finite_number(row[column])
             except ValueError:
                 cell, name = row[column], quoted(table.header[column])
-                wrong = f"holds {quoted(cell)}, which is no finite number" if cell.strip() else "is empty"
+                wrong = f"must be a finite number, got {quoted(cell)}" if cell.strip() else "is empty"
                 raise PlanspaceError(f"{table.file}, line {line}: column {name} {wrong}.") from None
     return values
+
+
+CSV = Format("FILE.csv", has_suffix(".csv"), read_csv, write_csv)

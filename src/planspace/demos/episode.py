@@ -1,0 +1,93 @@
+"""One demonstration, and the arrays of several laid end to end.
+
+An episode has T + 1 states and times and T controls: control k is held from state k to state k + 1.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.demos.state_info import StateInfo
+from planspace.errors import PlanspaceError
+from planspace.storage.arrays import Arrays
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One demonstration."""
+
+    states: Float[np.ndarray, "time state"]
+    """T + 1 states; angles are continuous and end in (-pi, pi]."""
+    controls: Float[np.ndarray, "step control"]
+    """T controls, each held until the next state."""
+    times: Float[np.ndarray, " time"]
+    """Time of each state [s], starting at 0."""
+    goal: Float[np.ndarray, " state"]
+    """The goal state; NaN if unknown."""
+    success: bool
+    """Whether the demonstration ends at the goal."""
+    index: int
+    """Number of the demonstration in the order of planning or recording."""
+    seed: int
+    """The attempt that produced it: failed attempts are repeated with the next seed."""
+    cost: float = math.nan
+    """The cost that the planner minimised [s]; NaN if unknown."""
+
+
+def join_episodes(info: StateInfo, episodes: Sequence[Episode]) -> Arrays:
+    """Lay the arrays of episodes end to end.
+
+    Args:
+        info: the meaning of the states.
+        episodes: at least one episode.
+
+    Returns:
+        The arrays of a `Demos`, by field name.
+
+    Raises:
+        PlanspaceError: there are no episodes, or `check_episode` rejects one.
+    """
+    if not episodes:
+        raise PlanspaceError("there are no demonstrations.")
+    for episode in episodes:
+        check_episode(info, episode)
+    lengths = [len(e.states) for e in episodes]
+    return {
+        "states": np.concatenate([e.states for e in episodes]),
+        "controls": np.concatenate([e.controls for e in episodes]),
+        "times": np.concatenate([e.times for e in episodes]),
+        "offsets": np.concatenate([[0], np.cumsum(lengths)]),
+        "goals": np.stack([e.goal for e in episodes]),
+        "success": np.array([e.success for e in episodes]),
+        "indices": np.array([e.index for e in episodes]),
+        "seeds": np.array([e.seed for e in episodes]),
+        "costs": np.array([e.cost for e in episodes], dtype=float),
+    }
+
+
+def check_episode(info: StateInfo, episode: Episode) -> None:
+    """Check the shapes and numbers of an episode.
+
+    Raises:
+        PlanspaceError: the arrays do not fit together or do not fit `info`, or a number is not finite. The
+            message names the row.
+    """
+    where = f"demonstration {episode.index}"
+    num_states, size = episode.states.shape
+    if size != len(info.names) or episode.controls.shape[1] != info.num_controls:
+        raise PlanspaceError(
+            f"{where} has {size} numbers per state and {episode.controls.shape[1]} per control; expected "
+            f"{len(info.names)} and {info.num_controls}."
+        )
+    if len(episode.controls) != num_states - 1 or len(episode.times) != num_states:
+        raise PlanspaceError(
+            f"{where} has {num_states} states, {len(episode.controls)} controls and {len(episode.times)} "
+            "times; expected T + 1, T and T + 1."
+        )
+    for name, array in (("state", episode.states), ("control", episode.controls), ("time", episode.times)):
+        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        if len(bad):
+            raise PlanspaceError(f"{where} has a {name} that is not finite, in row {bad[0]}.")
