@@ -67,7 +67,7 @@ def test_a_bad_cell_is_one_line_and_nothing_is_written(
     code, out, err = call(capsys, "demos", "import", tmp_path / "a.csv", "--out", tmp_path / "demos")
     assert (code, out) == (1, "") and not (tmp_path / "demos").exists()
     assert (
-        err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' holds 'oops', which is no finite number.\n"
+        err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' must be a finite number, got 'oops'.\n"
     )
 
 
