@@ -66,9 +66,7 @@ def test_a_bad_cell_is_one_line_and_nothing_is_written(
     (tmp_path / "a.csv").write_text("time,x\n0,1\n1,oops\n")
     code, out, err = call(capsys, "demos", "import", tmp_path / "a.csv", "--out", tmp_path / "demos")
     assert (code, out) == (1, "") and not (tmp_path / "demos").exists()
-    assert (
-        err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' must be a finite number, got 'oops'.\n"
-    )
+    assert err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' must be a finite number, got 'oops'.\n"
 
 
 def test_a_film_from_the_command_line(
