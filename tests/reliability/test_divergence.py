@@ -65,7 +65,7 @@ def test_a_dataset_that_does_not_replay_is_refused(demos: Demos, tmp_path: Path)
         assert not (replay_errors(wild) < 1.0).any()
         with pytest.raises(PlanspaceError, match="misses its states"):
             validate(tmp_path, replay_controls=True)
-    with pytest.raises(PlanspaceError, match="two states lie 1e\\+06 s apart, more than 100000 steps"):
+    with pytest.raises(PlanspaceError, match="two states are 1e\\+06 s apart, more than 100000 steps"):
         replay_errors(stretched(1e6))  # which would be as many steps
 
 
