@@ -33,7 +33,7 @@ def prepare(num_seeds: int, steps: int, one_by_one: bool = False):
     from planspace.embed.config import PRESETS
     from planspace.embed.embedding import Inputs
     from planspace.embed.samples import make_samples
-    from planspace.embed.training import init, make_advance, run_steps
+    from planspace.embed.steps import init, make_advance, run_steps
 
     rng = np.random.default_rng(0)
     info = StateInfo(tuple("abcd"), ("",) * STATES, (), CONTROLS)

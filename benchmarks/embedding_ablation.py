@@ -27,6 +27,7 @@ from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
 from planspace.rl.config import TrainConfig
 from planspace.rl.train import train
+from planspace.seams import plain_settings
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import json_hash, read_json, write_json
 
@@ -40,58 +41,58 @@ MODERN = PRESETS["modern"]
 
 
 BASELINE = "prototype, lambda 0.5"
-PROTOTYPE = MODERN.changed(
+PROTOTYPE = MODERN.with_settings(
     linearity=0.5,
     prior=1.0,
-    anywhere=0.0,
+    off_data_weight=0.0,
     spacings=PAPER_SPACINGS,
     sigma_floor=0.05,
     steps=12_000,
-    z_deviation=0.0,
+    z_std=0.0,
     whitening=0.0,
 )
 
 CANDIDATES: dict[str, FitConfig] = {
     "modern": MODERN,
     BASELINE: PROTOTYPE,
-    "z as trained": MODERN.changed(z_deviation=0.0, whitening=0.0),
-    "z twice as large": MODERN.changed(z_deviation=5.0),
-    "not whitened": MODERN.changed(whitening=0.0),
-    "half whitened": MODERN.changed(whitening=0.5),
-    "wholly whitened": MODERN.changed(whitening=1.0),
-    "nothing said of states anywhere": MODERN.changed(anywhere=0.0),
-    "lambda 0.5": MODERN.changed(linearity=0.5),
-    "lambda 2": MODERN.changed(linearity=2.0),
-    "lambda 4": MODERN.changed(linearity=4.0),
-    "lambda 32": MODERN.changed(linearity=32.0),
-    "prior 1": MODERN.changed(prior=1.0),
-    "prior 0.01": MODERN.changed(prior=0.01),
-    "near 0": MODERN.changed(near=0.0),
-    "near 0, lambda 0.5": MODERN.changed(near=0.0, linearity=0.5),
-    "near 0, lambda 2": MODERN.changed(near=0.0, linearity=2.0),
-    "near 1": MODERN.changed(near=1.0),
-    "near 1, lambda 32": MODERN.changed(near=1.0, linearity=32.0),
+    "z as trained": MODERN.with_settings(z_std=0.0, whitening=0.0),
+    "z twice as large": MODERN.with_settings(z_std=5.0),
+    "not whitened": MODERN.with_settings(whitening=0.0),
+    "half whitened": MODERN.with_settings(whitening=0.5),
+    "wholly whitened": MODERN.with_settings(whitening=1.0),
+    "nothing said of states anywhere": MODERN.with_settings(off_data_weight=0.0),
+    "lambda 0.5": MODERN.with_settings(linearity=0.5),
+    "lambda 2": MODERN.with_settings(linearity=2.0),
+    "lambda 4": MODERN.with_settings(linearity=4.0),
+    "lambda 32": MODERN.with_settings(linearity=32.0),
+    "prior 1": MODERN.with_settings(prior=1.0),
+    "prior 0.01": MODERN.with_settings(prior=0.01),
+    "near 0": MODERN.with_settings(short_fraction=0.0),
+    "near 0, lambda 0.5": MODERN.with_settings(short_fraction=0.0, linearity=0.5),
+    "near 0, lambda 2": MODERN.with_settings(short_fraction=0.0, linearity=2.0),
+    "near 1": MODERN.with_settings(short_fraction=1.0),
+    "near 1, lambda 32": MODERN.with_settings(short_fraction=1.0, linearity=32.0),
     "mirrored": MODERN,
-    "spacings 1, 3, 5, 10, 30": MODERN.changed(spacings=PAPER_SPACINGS),
-    "raw inputs": MODERN.changed(inputs="raw"),
-    "standardised inputs": MODERN.changed(inputs="standard"),
-    "sigma floor 0.05": MODERN.changed(sigma_floor=0.05),
-    "variance not doubled": MODERN.changed(double_variance=False),
-    "balance 0.7": MODERN.changed(balance=0.7),
-    "stop-gradient, balance 1": MODERN.changed(balance=1.0),
-    "curvature 1": MODERN.changed(curvature=1.0),
-    "distance 10": MODERN.changed(distance=10.0),
-    "weight average": MODERN.changed(average=0.999),
-    "2 x 128 units": MODERN.changed(hidden=(128, 128)),
-    "batch 128": MODERN.changed(batch=128),
-    "direct": MODERN.changed(name="direct"),
-    "vae": MODERN.changed(name="vae"),
-    "e2c": MODERN.changed(name="e2c", linearity=1.0),
-    "straightening": MODERN.changed(name="straightening", linearity=5.0),
-    "distance": MODERN.changed(name="distance"),
-    "pca": MODERN.changed(name="pca"),
-    "random": MODERN.changed(name="random"),
-    "shuffled": MODERN.changed(name="shuffled"),
+    "spacings 1, 3, 5, 10, 30": MODERN.with_settings(spacings=PAPER_SPACINGS),
+    "raw inputs": MODERN.with_settings(inputs="raw"),
+    "standardised inputs": MODERN.with_settings(inputs="standard"),
+    "sigma floor 0.05": MODERN.with_settings(sigma_floor=0.05),
+    "variance not doubled": MODERN.with_settings(double_variance=False),
+    "balance 0.7": MODERN.with_settings(balance=0.7),
+    "stop-gradient, balance 1": MODERN.with_settings(balance=1.0),
+    "curvature 1": MODERN.with_settings(curvature=1.0),
+    "distance 10": MODERN.with_settings(distance=10.0),
+    "weight average": MODERN.with_settings(average=0.999),
+    "2 x 128 units": MODERN.with_settings(hidden=(128, 128)),
+    "batch 128": MODERN.with_settings(batch=128),
+    "direct": MODERN.with_objective("direct"),
+    "vae": MODERN.with_objective("vae"),
+    "e2c": MODERN.with_objective("e2c").with_settings(linearity=1.0),
+    "straightening": MODERN.with_objective("straightening").with_settings(linearity=5.0),
+    "distance": MODERN.with_objective("distance"),
+    "pca": MODERN.with_objective("pca"),
+    "random": MODERN.with_objective("random"),
+    "shuffled": MODERN.with_objective("shuffled"),
 }
 """Each is `modern` with what its name says; `BASELINE` is what `modern` must not fall behind. `mirrored` has
 the mirror image of every training demonstration as well."""
@@ -105,7 +106,7 @@ def embeddings_of(name: str, config: FitConfig, demos: Demos) -> tuple[list[Embe
         embeddings = fit_seeds(trained_on, out, config=config, seeds=seeds, split_seed=0)
     validation = demos.split(0)["validation"]
     geometry = [asdict(measure(e, demos, validation)) for e in embeddings]
-    return embeddings, {"candidate": name, "fit": asdict(config), "validation": geometry}
+    return embeddings, {"candidate": name, "fit": plain_settings(config), "validation": geometry}
 
 
 def with_mirror_images(demos: Demos) -> Demos:
@@ -129,7 +130,13 @@ def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:
     """One candidate, as far as the results do not hold it yet."""
     config = CANDIDATES[name]
     of = {"name": name} if name == "mirrored" else {}
-    of |= {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS, "steps": STEPS, "last": LAST}
+    of |= {
+        "demos": demos.hash,
+        "fit": plain_settings(config),
+        "seeds": NUM_SEEDS,
+        "steps": STEPS,
+        "last": LAST,
+    }
     unit = RESULTS / f"{json_hash(of)[:16]}.json"
     result = read_json(unit) if unit.exists() else {}
     arms = result.get("returns", {})

@@ -21,6 +21,7 @@ from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import choose, fit_seeds
 from planspace.embed.geometry import measure, measure_raw_state
+from planspace.seams import plain_settings
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import json_hash, read_json, write_json
 
@@ -40,7 +41,11 @@ SHOWN += ("decoded_error",)
 
 def row(name: str, demos: Demos, config: FitConfig, seeds: list[int]) -> dict:
     """One row, trained unless the results hold it."""
-    unit = {"demos": demos.hash, "fit": asdict(config), "seeds": NUM_SEEDS if seeds == SEEDS else seeds}
+    unit = {
+        "demos": demos.hash,
+        "fit": plain_settings(config),
+        "seeds": NUM_SEEDS if seeds == SEEDS else seeds,
+    }
     file = RESULTS / f"{name}-{config.preset}-z{config.z_dim}-{json_hash(unit)[:12]}.json"
     if file.exists():
         return read_json(file)
@@ -85,9 +90,9 @@ def main() -> None:
         for preset in arguments.presets:
             for z in arguments.z:
                 steps = arguments.paper_steps if preset == "paper" else PRESETS[preset].steps
-                config = PRESETS[preset].changed(
-                    z_dim=z, steps=steps, inputs=arguments.inputs, linearity=arguments.linearity
-                )
+                changes = {"inputs": arguments.inputs, "linearity": arguments.linearity}
+                changes = {name: value for name, value in changes.items() if value is not None}
+                config = PRESETS[preset].with_settings(z_dim=z, steps=steps, **changes)
                 result = row(name, demos, config, arguments.seeds)
                 cells = []
                 for metric in SHOWN:

@@ -17,7 +17,7 @@ from gymnasium.envs import mujoco as gymnasium_mujoco
 
 import planspace
 from planspace.embed.config import PRESETS
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem_file import load_problem
@@ -70,7 +70,7 @@ def main() -> None:
     demos = arguments.out / "demos"
     plan_into(load_problem(str(arguments.out / "problem.yaml")), demos, num=arguments.num, seed=0)
     config = replace(PRESETS["modern"], steps=arguments.steps)
-    fit(planspace.load_demos(demos), arguments.out / "embedding", config=config, num_seeds=5, seed=0)
+    fit_embedding(planspace.load_demos(demos), config=config, out=arguments.out / "embedding")
 
     env = PlanSpaceObservation(gymnasium.make(arguments.env_id), arguments.out / "embedding")
     obs, _ = env.reset(seed=0)

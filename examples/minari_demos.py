@@ -18,7 +18,7 @@ import numpy as np
 
 import planspace
 from planspace.embed.config import PRESETS
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.mjcf.assets import ASSETS
 from planspace.plan.demonstrations import plan_into
 from planspace.tasks.problem import Problem
@@ -67,7 +67,7 @@ def main() -> None:
 
     demos = planspace.load_demos(f"minari:{arguments.dataset_id}")  # the recording names its task
     config = replace(PRESETS["modern"], steps=arguments.steps)
-    fit(demos, arguments.out / "embedding", config=config, num_seeds=5, seed=0)
+    fit_embedding(demos, config=config, out=arguments.out / "embedding")
     print(f"the same on the command line: planspace embed minari:{arguments.dataset_id} --out embedding")
 
 

@@ -12,7 +12,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.plan.config import PlanConfig, PolishConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.plan.sst import SST
@@ -58,7 +58,7 @@ def demos(demo_folder: Path) -> Demos:
 def embedding_folder(demos: Demos, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An embedding of those, trained briefly, two seeds."""
     out = tmp_path_factory.mktemp("embedding") / "embedding"
-    fit(demos, out, config=QUICK_FIT, num_seeds=2, seed=0)
+    fit_embedding(demos, out=out, config=QUICK_FIT, num_seeds=2)
     return out
 
 

@@ -12,7 +12,7 @@ from planspace.study.results import Found
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
-FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32), num_seeds=2)
+FIT = FitUnit(PLANS, replace(PRESETS["modern"], steps=60, batch=32), num_seeds=2)
 BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
 
 

@@ -10,6 +10,7 @@ from planspace.embed.card import METRICS, model_card
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding, Inputs
 from planspace.embed.geometry import Geometry
+from planspace.seams import plain_settings
 
 SECTIONS = ["How to use it", "Inputs", "Training", "Geometry on the test split", "Limits", "Versions"]
 GEOMETRY = Geometry(0.88, 0.253, 0.0737, 0.966, 0.149, 0.154, 0.0977, 2.218, 3, 0.237, 48)
@@ -32,7 +33,7 @@ def about(**changes: Any) -> dict[str, Any]:
             "demos": "d160b9",
             "seeds": [6, 7, 8],
             "split_seed": 5,
-            "fit": asdict(PRESETS["modern"]) | {"steps": 12_345, "batch": 678},
+            "fit": plain_settings(PRESETS["modern"]) | {"steps": 12_345, "batch": 678},
         },
         "problem": "cartpole-swingup",
         "split": {"train": list(range(40)), "validation": [40, 41], "test": [42, 43, 44]},
@@ -130,10 +131,13 @@ def test_names_cannot_break_the_page() -> None:
     assert row(card, "1")[1] == "`c' # d <script>`"
 
 
-def test_objectives_compared_with_are_called_so() -> None:
-    fit = {"objective": {"name": "pca", "linearity": 2.0}, "steps": 100, "batch": 5}
-    card = model_card(replace(bare(), about=about(settings={"fit": fit, "seeds": [3]}, seed=3)))
-    assert "This one's objective, `pca`, is one that such embeddings are compared with." in card
+def test_the_card_says_what_the_objective_is() -> None:
+    objective = {"name": "pca", "summary": "Principal components.", "closed_form": True}
+    fit = {"objective": {"name": "pca"}, "steps": 100, "batch": 5}
+    card = model_card(
+        replace(bare(), about=about(settings={"fit": fit, "seeds": [3]}, seed=3, objective=objective))
+    )
+    assert "The objective of this one is `pca`: Principal components." in card
     assert "- in closed form\n" in card and "optimiser steps" not in card
     assert "- one seed: 3\n" in card
 

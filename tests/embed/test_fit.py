@@ -10,10 +10,10 @@ import pytest
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.embed import fit as module
-from planspace.embed import training
+from planspace.embed import steps, training
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import Embedding, Inputs, load_embedding
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.embed.geometry import measure
 from planspace.embed.training import CHUNK
 from planspace.errors import PlanspaceError, UsageError
@@ -28,8 +28,10 @@ def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
     demos: Demos, tmp_path: Path
 ) -> None:
     config = replace(PRESETS["modern"], steps=1500, batch=128)
-    trained = fit(demos, tmp_path / "a", config=config, num_seeds=2, seed=0).about
-    untrained = fit(demos, tmp_path / "b", config=replace(config, steps=1), num_seeds=2, seed=0).about
+    trained = fit_embedding(demos, out=tmp_path / "a", config=config, num_seeds=2).about
+    untrained = fit_embedding(
+        demos, out=tmp_path / "b", config=replace(config, steps=1), num_seeds=2, seed=0
+    ).about
     z, raw = trained["metrics"]["train"], trained["metrics_raw_state"]
     assert z["straightness"] > 1.3 * raw["straightness"]
     assert z["midpoint_error"] < untrained["metrics"]["train"]["midpoint_error"]
@@ -41,8 +43,8 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(QUICK_FIT, steps=3 * CHUNK, batch=16)
-    fit(demos, tmp_path / "whole", config=config, num_seeds=2, seed=3)
-    run_steps, calls = training.run_steps, []
+    fit_embedding(demos, out=tmp_path / "whole", config=config, num_seeds=2, seed=3)
+    run_steps, calls = steps.run_steps, []
 
     def interrupted(*args):
         if int(args[2]) > 1:  # a stretch, not the single step that looks whether it ended well
@@ -51,10 +53,10 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
                 raise KeyboardInterrupt
         return run_steps(*args)
 
-    monkeypatch.setattr(training, "run_steps", interrupted)
+    monkeypatch.setattr(steps, "run_steps", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fit(demos, tmp_path / "cut", config=config, num_seeds=2, seed=3)
-    fit(demos, tmp_path / "cut", config=config, num_seeds=2, seed=3)
+        fit_embedding(demos, out=tmp_path / "cut", config=config, num_seeds=2, seed=3)
+    fit_embedding(demos, out=tmp_path / "cut", config=config, num_seeds=2, seed=3)
     assert len(calls) == 4  # one chunk done, one cut off, and the two that were left: none twice
     name = "embedding.safetensors"
     assert file_hash(tmp_path / "cut" / name) == file_hash(tmp_path / "whole" / name)
@@ -62,8 +64,8 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
 
 def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=50, batch=16)
-    alone = fit(demos, tmp_path / "alone", config=config, num_seeds=1, seed=1, split_seed=0)
-    beside = fit(demos, tmp_path / "beside", config=config, num_seeds=2, seed=0)
+    alone = fit_embedding(demos, out=tmp_path / "alone", config=config, num_seeds=1, seed=1, split_seed=0)
+    beside = fit_embedding(demos, out=tmp_path / "beside", config=config, num_seeds=2)
     a = alone.about["metrics_of_seeds"]["1"]["straightness"]
     b = beside.about["metrics_of_seeds"]["1"]["straightness"]
     assert a == pytest.approx(b, rel=1e-3)  # batched arithmetic rounds otherwise, no more
@@ -71,7 +73,7 @@ def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path)
 
 @pytest.mark.parametrize("num_seeds", [1, 2, 3, 4, 5, 7, 20, 50])
 def test_seeds_are_stepped_in_twos_and_threes(num_seeds: int) -> None:
-    groups = [range(num_seeds)[g] for g in training.seed_groups(num_seeds)]
+    groups = [range(num_seeds)[g] for g in steps.seed_groups(num_seeds)]
     assert [seed for group in groups for seed in group] == list(range(num_seeds))
     assert {len(group) for group in groups} <= ({2, 3} if num_seeds > 1 else {1})
 
@@ -81,8 +83,8 @@ def test_the_number_of_cores_does_not_matter_to_the_last_bit(
 ) -> None:
     config = replace(QUICK_FIT, steps=CHUNK, batch=16)
     for cores in (1, 2):
-        monkeypatch.setattr(training, "count_cores", lambda cores=cores: cores)
-        fit(demos, tmp_path / str(cores), config=config, num_seeds=5, seed=0)
+        monkeypatch.setattr(steps, "count_cores", lambda cores=cores: cores)
+        fit_embedding(demos, out=tmp_path / str(cores), config=config)
     hashes = {file_hash(tmp_path / str(cores) / FILE) for cores in (1, 2)}
     assert len(hashes) == 1
 
@@ -93,7 +95,9 @@ def test_a_device_that_is_not_there_is_named() -> None:
 
 
 def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None:
-    embedding = fit(demos, tmp_path / "e", config=replace(PRESETS["paper"], steps=100), num_seeds=1, seed=0)
+    embedding = fit_embedding(
+        demos, out=tmp_path / "e", config=replace(PRESETS["paper"], steps=100), num_seeds=1, seed=0
+    )
     assert embedding.inputs.form == "raw"
     assert (embedding.inputs.mean == 0).all() and (embedding.inputs.deviation == 1).all()
     paper = PRESETS["paper"]
@@ -134,10 +138,10 @@ def test_finished_training_is_returned_and_other_settings_refused(
     demos: Demos, embedding_folder: Path
 ) -> None:
     before = file_hash(embedding_folder / "embedding.json")
-    fit(demos, embedding_folder, config=QUICK_FIT, num_seeds=2, seed=0)
+    fit_embedding(demos, out=embedding_folder, config=QUICK_FIT, num_seeds=2)
     assert file_hash(embedding_folder / "embedding.json") == before
     with pytest.raises(PlanspaceError, match=r"fit.z_dim was 3, now 10"):
-        fit(demos, embedding_folder, config=replace(QUICK_FIT, z_dim=10), num_seeds=2, seed=0)
+        fit_embedding(demos, out=embedding_folder, config=replace(QUICK_FIT, z_dim=10), num_seeds=2)
 
 
 @pytest.mark.parametrize("broken", [99, 150, 249])
@@ -152,12 +156,12 @@ def test_divergence_is_caught_at_its_step_and_saved_as_before(
 
         return optax.adam(rate)
 
-    monkeypatch.setattr(training, "_make_optimiser", make_optimiser)
+    monkeypatch.setattr(steps, "make_optimiser", make_optimiser)
     config = replace(QUICK_FIT, steps=250, batch=16, learning_rate=1e-3 + broken * 1e-9)
     message = rf"diverged at step {broken + 1} for seed 5; .* before, at step {broken}\."
     for _ in range(2):  # the same again, from there
         with pytest.raises(PlanspaceError, match=message):
-            fit(demos, tmp_path / "e", config=config, num_seeds=2, seed=5)
+            fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2, seed=5)
         saved = tmp_path / "e" / "checkpoint" / "state.safetensors"
         assert read_arrays_and_metadata(saved)[1] == {"step": broken}
         assert all(np.isfinite(a).all() for a in read_arrays(saved).values())
@@ -167,18 +171,18 @@ def test_divergence_is_caught_at_its_step_and_saved_as_before(
 def test_times_that_stand_still_are_refused(demos: Demos, tmp_path: Path) -> None:
     still = replace(demos, times=np.zeros_like(demos.times))
     with pytest.raises(PlanspaceError, match="times of a demonstration do not increase"):
-        fit(still, tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0)
+        fit_embedding(still, out=tmp_path / "e", config=QUICK_FIT, num_seeds=1)
 
 
 def test_bad_input_leaves_no_folder_behind(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, columns=("elbow",))
     with pytest.raises(PlanspaceError, match="'elbow' is missing"):
-        fit(demos, tmp_path / "e", config=config, num_seeds=1, seed=0)
+        fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert not (tmp_path / "e").exists()
     short = Demos.from_episodes(demos.info, [_cut(demos, i, 12 if i else 9) for i in range(3)])
     bad = next(name for name, part in short.split(0).items() if 0 in part)
     with pytest.raises(PlanspaceError, match=f"states; the longest of 1 in the {bad} split has 9"):
-        fit(short, tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0)
+        fit_embedding(short, out=tmp_path / "e", config=QUICK_FIT, num_seeds=1)
     assert not (tmp_path / "e").exists()
 
 
@@ -191,8 +195,8 @@ def _cut(demos: Demos, i: int, length: int) -> Episode:
     "name", ["direct", "vae", "e2c", "straightening", "distance", "pca", "random", "shuffled"]
 )
 def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: str) -> None:
-    config = replace(QUICK_FIT.changed(name=name), steps=30)
-    embedding = fit(demos, tmp_path / "e", config=config, num_seeds=2, seed=0)
+    config = replace(QUICK_FIT.with_objective(name), steps=30)
+    embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2)
     assert embedding.about["settings"]["fit"]["objective"]["name"] == name
     assert np.isfinite(embedding.encode(demos.states)).all()
     assert load_embedding(tmp_path / "e").hash == embedding.hash
@@ -200,12 +204,11 @@ def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: 
 
 def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) -> None:
     short, long = (
-        fit(
+        fit_embedding(
             demos,
-            tmp_path / str(n),
-            config=replace(QUICK_FIT.changed(name="random"), steps=n),
+            out=tmp_path / str(n),
+            config=replace(QUICK_FIT.with_objective("random"), steps=n),
             num_seeds=1,
-            seed=0,
         )
         for n in (1, 200)
     )
@@ -216,12 +219,14 @@ def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) ->
 
 def test_named_columns_alone_are_read(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=30, columns=("hingevel", "hinge"))
-    embedding = fit(demos, tmp_path / "e", config=config, num_seeds=1, seed=0)
+    embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert embedding.inputs.names == ("hingevel", "hinge")
     assert embedding.inputs.circular_columns == (1,)
     assert embedding.about["metrics"]["test"]["num_demos"] == 1
     with pytest.raises(PlanspaceError, match="'elbow' is missing"):
-        fit(demos, tmp_path / "f", config=replace(config, columns=("elbow",)), num_seeds=1, seed=0)
+        fit_embedding(
+            demos, out=tmp_path / "f", config=replace(config, columns=("elbow",)), num_seeds=1, seed=0
+        )
 
 
 def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) -> None:
@@ -245,7 +250,7 @@ def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) ->
 def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     config = replace(QUICK_FIT, steps=20)
-    fit(demos, tmp_path / "e", config=config, num_seeds=2, seed=4, tensorboard=True)
+    fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2, seed=4, tensorboard=True)
     events = accumulator.EventAccumulator(str(tmp_path / "e" / "tensorboard")).Reload()
     assert {"bound/seed 4", "bound/seed 5", "midpoint_error/seed 5"} <= set(events.Tags()["scalars"])
     assert events.Scalars("bound/seed 4")[-1].step == 20
@@ -254,15 +259,14 @@ def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> No
 def test_a_running_average_lags_behind(demos: Demos, tmp_path: Path) -> None:
     def weights(name: str, average: float) -> np.ndarray:
         config = replace(QUICK_FIT, steps=50, average=average)
-        return fit(demos, tmp_path / name, config=config, num_seeds=1, seed=0).encoder[0][0]
+        return fit_embedding(demos, out=tmp_path / name, config=config, num_seeds=1).encoder[0][0]
 
     first, last, slow = (
-        fit(
+        fit_embedding(
             demos,
-            tmp_path / "first",
+            out=tmp_path / "first",
             config=replace(QUICK_FIT, steps=1, learning_rate=1e-9),
             num_seeds=1,
-            seed=0,
         ).encoder[0][0],
         weights("last", 0.0),
         weights("slow", 0.99),
@@ -280,12 +284,12 @@ def test_numbers_out_of_range_are_named() -> None:
         ({"sigma_floor": -0.1}, "sigma_floor"),
     ):
         with pytest.raises(UsageError, match=f"{name}.* "):
-            PRESETS["modern"].changed(**changes)
+            PRESETS["modern"].with_settings(**changes)
 
 
 def test_z_of_any_size(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=20, z_dim=10)
-    embedding = fit(demos, tmp_path / "e", config=config, num_seeds=1, seed=0)
+    embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert embedding.encode(np.zeros(4)).shape == (10,)
 
 
@@ -293,5 +297,7 @@ def test_states_too_large_to_be_learned_from_are_refused(demos: Demos, tmp_path:
     states = demos.states.copy()
     states[-1] = 1e300
     with pytest.raises(PlanspaceError, match="states hold a number that is not finite, or beyond 1e"):
-        fit(replace(demos, states=states), tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0)
+        fit_embedding(
+            replace(demos, states=states), out=tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0
+        )
     assert not (tmp_path / "e").exists()

@@ -10,7 +10,9 @@ from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.embed.config import PAPER_SPACINGS, PRESETS
 from planspace.embed.embedding import Inputs
-from planspace.embed.samples import make_samples, shuffle
+from planspace.embed.objectives.shuffled import Shuffled
+from planspace.embed.samples import make_samples
+from planspace.embed.triplet_source import TripletSource
 from planspace.errors import PlanspaceError
 
 
@@ -47,8 +49,8 @@ def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> No
     inputs = inputs_of(demos)
     samples = make_samples(demos, np.arange(8), inputs, PRESETS["modern"], 0)
     batch = samples.draw(jr.key(0), 3000)
-    states = inputs.invert(np.asarray(batch.anywhere))
-    x = np.asarray(batch.anywhere) * inputs.deviation + inputs.mean
+    states = inputs.invert(np.asarray(batch.off_data))
+    x = np.asarray(batch.off_data) * inputs.deviation + inputs.mean
     np.testing.assert_allclose(x[:, 1] ** 2 + x[:, 2] ** 2, 1.0, atol=1e-4)  # sin and cos of one angle
     train = demos.states[demos.rows(np.arange(8))]
     middle = np.asarray(samples.triplets)[:, 1]
@@ -59,16 +61,20 @@ def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> No
     assert np.abs(np.corrcoef(train[:, 1], train[:, 3])[0, 1]) > 0.2  # which plans are not
 
 
-def test_shuffling_keeps_each_members_states_and_breaks_the_plans(rng: np.random.Generator) -> None:
-    triplets = np.arange(300).reshape(100, 3)
-    mixed = shuffle(triplets, rng)
-    for old, new in zip(triplets.T, mixed.T, strict=True):
+def test_shuffling_keeps_each_members_states_and_times_and_breaks_the_plans(demos: Demos) -> None:
+    def source() -> TripletSource:
+        return TripletSource(demos, np.arange(8), (1,), 0.5, np.random.default_rng(0))
+
+    rows, times = source().standard()
+    mixed, same_times = Shuffled().draw_triplets(source())
+    np.testing.assert_array_equal(times, same_times)
+    for old, new in zip(rows.T, mixed.T, strict=True):
         assert sorted(old) == sorted(new)
     assert np.mean(mixed[:, 1] - mixed[:, 0] == 1) < 0.1
 
 
 def test_e2c_takes_single_steps_and_their_controls(demos: Demos) -> None:
-    config = PRESETS["modern"].changed(name="e2c")
+    config = PRESETS["modern"].with_objective("e2c")
     samples = make_samples(demos, np.arange(len(demos)), inputs_of(demos), config, 0)
     a, t, _ = np.asarray(samples.triplets).T
     assert (t == a + 1).all()
@@ -86,4 +92,4 @@ def test_e2c_without_controls_is_refused() -> None:
         info, [Episode(x, np.zeros((19, 0)), np.arange(20) * 0.1, np.zeros(1), True, 0, 0)] * 3
     )
     with pytest.raises(PlanspaceError, match="e2c needs controls"):
-        make_samples(demos, np.arange(3), inputs_of(demos), PRESETS["modern"].changed(name="e2c"), 0)
+        make_samples(demos, np.arange(3), inputs_of(demos), PRESETS["modern"].with_objective("e2c"), 0)

@@ -7,7 +7,7 @@ is never made again.
 import json
 import shutil
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from planspace.study.run import run_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
 
 PLANS = PlansUnit("cartpole-swingup", 3, (("polish_max_iterations", 10), ("restarts", 1)))
-FIT = FitUnit(PLANS, PRESETS["modern"].changed(steps=60, batch=32, hidden=(16, 16)), num_seeds=1)
+FIT = FitUnit(PLANS, replace(PRESETS["modern"], steps=60, batch=32, hidden=(16, 16)), num_seeds=1)
 POLICY = PolicyUnit(TrainConfig("cartpole", steps=8000, num_seeds=2, z="augment"), (FIT,))
 GOLDEN = Study("golden", "smoke", "Can it be read?", (Arm("balance", "raw + z", (POLICY,)),))
 STATES = np.linspace(-1.0, 1.0, 12).reshape(3, 4)

@@ -25,7 +25,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.manifest import MANIFEST
 from planspace.embed import training as embed_training
 from planspace.embed.embedding import Embedding
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.plan import demonstrations
 from planspace.plan.demonstrations import plan_into
@@ -166,8 +166,8 @@ def test_policies(algo: Algo, preset: RLPreset, z: ZMode, embedding: Embedding, 
 def briefly(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Trains an embedding with three checkpoints."""
     monkeypatch.setattr(embed_training, "CHUNK", 20)
-    config = replace(QUICK_FIT, steps=60, batch=16).changed(average=0.9)
-    return lambda out: fit(demos, out, config=config, num_seeds=2, seed=3)
+    config = replace(QUICK_FIT, steps=60, batch=16, average=0.9)
+    return lambda out: fit_embedding(demos, config=config, out=out, num_seeds=2, seed=3)
 
 
 def test_an_embedding(briefly: Run, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 EVIL = "<script>alert('evil')</script>"
 PLANS = PlansUnit("cartpole-swingup", 20)
-FITS = tuple(FitUnit(PLANS, PRESETS["paper"].changed(z_dim=z), num_seeds=2) for z in (2, 3))
+FITS = tuple(FitUnit(PLANS, replace(PRESETS["paper"], z_dim=z), num_seeds=2) for z in (2, 3))
 BASE = TrainConfig("cartpole-swingup", steps=400_000, num_seeds=5)
 
 

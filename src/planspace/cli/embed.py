@@ -7,9 +7,11 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from planspace.cli.tables import print_columns
-from planspace.embed.config import Metric, ObjectiveName, PresetName
+from planspace.embed.config import PresetName
 from planspace.embed.embedding import InputType
+from planspace.embed.objectives.direct import Metric
 from planspace.errors import UsageError
+from planspace.seams import is_object_path, load_object
 
 PRESETS_OWN = "(default: the preset's)"
 
@@ -32,10 +34,10 @@ class Embed:
     """The first of them, and the seed of the split in training, validation and test."""
     columns: Annotated[tuple[str, ...], arg(metavar="NAME ...", help_behavior_hint="(default: all)")] = ()
     """The states the embedding reads, by name."""
-    objective: ObjectiveName = "variational"
+    objective: str = "variational"
     """variational and direct are the paper's; vae, e2c, straightening, distance, pca, random and shuffled are
-    what it is compared with."""
-    metric: Metric = "l2"
+    what it is compared with. module.py:NAME is one of your own: a function or an object."""
+    metric: Metric | None = None
     """The distance between states, for the direct objective."""
     linearity: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint=PRESETS_OWN)] = None
     """lambda: how much straightness counts."""
@@ -43,7 +45,7 @@ class Embed:
     """How much z is pulled to a unit Gaussian; high values lose dimensions."""
     spacings: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
     """Steps between the members of a triplet; 0 for any three states of a demonstration."""
-    near: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
+    short_fraction: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
     """With --spacings 0, how many of those are mostly close together: fewer makes whole plans straighter,
     more makes z of more use to a policy."""
     whitening: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=PRESETS_OWN)] = None
@@ -68,7 +70,7 @@ class Embed:
         """Trains it and prints its geometry on the test split."""
         from planspace.demos.load import load_demos
         from planspace.embed.config import PRESETS
-        from planspace.embed.fit import fit
+        from planspace.embed.fit import fit_embedding
         from planspace.embed.training import use_device
         from planspace.storage.compiled import use_compilation_cache
 
@@ -77,25 +79,26 @@ class Embed:
         if self.device:
             use_device(self.device)
         use_compilation_cache()
-        config = PRESETS[self.preset].changed(
-            z_dim=self.z_dim,
-            columns=self.columns,
-            name=self.objective,
-            metric=self.metric,
-            linearity=self.linearity,
-            prior=self.prior,
-            spacings=() if self.spacings == (0,) else self.spacings,
-            near=self.near,
-            whitening=self.whitening,
-            inputs=self.inputs,
-            steps=self.steps,
-            batch=self.batch,
-            learning_rate=self.learning_rate,
-        )
-        embedding = fit(
+        own = is_object_path(self.objective)
+        config = PRESETS[self.preset].with_objective(load_object(self.objective) if own else self.objective)
+        changes = {
+            "metric": self.metric,
+            "linearity": self.linearity,
+            "prior": self.prior,
+            "spacings": () if self.spacings == (0,) else self.spacings,
+            "short_fraction": self.short_fraction,
+            "whitening": self.whitening,
+            "inputs": self.inputs,
+            "steps": self.steps,
+            "batch": self.batch,
+            "learning_rate": self.learning_rate,
+        }
+        changes = {name: value for name, value in changes.items() if value is not None}
+        config = config.with_settings(z_dim=self.z_dim, columns=self.columns, **changes)
+        embedding = fit_embedding(
             load_demos(self.demos),
-            self.out,
             config=config,
+            out=self.out,
             num_seeds=self.seeds,
             seed=self.seed,
             tensorboard=self.tensorboard,

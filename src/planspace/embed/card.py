@@ -1,5 +1,6 @@
 """The model card: what an embedding is, where it comes from and what it cannot do, in Markdown."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,10 +24,6 @@ CHOICE = {
     "paper": "the lowest path error on the training split, as in the paper",
 }
 """How `fit` chooses among seeds."""
-CLOSED_FORM = "pca"
-"""The objective that is not trained."""
-RIVALS = {"vae", "e2c", "distance", "pca", "random", "shuffled"}
-"""Objectives that do not ask for straight plans."""
 SMALLEST_FIXED = 0.01
 """Numbers below it are shown with two digits instead of three decimals."""
 
@@ -63,9 +60,8 @@ def _head(embedding: Embedding) -> str:
         "constant speed: |z(a) - z(b)| then says how far apart two states are for such plans. z is what an "
         "agent observes beside the state, or instead of it."
     )
-    objective = about.get("settings", {}).get("fit", {}).get("objective", {}).get("name")
-    if objective in RIVALS:
-        text += f" This one's objective, {_code(objective)}, is one that such embeddings are compared with."
+    if objective := about.get("objective", {}):
+        text += f" The objective of this one is {_code(objective['name'])}: {_plain(objective['summary'])}"
     return f"# Plan-space embedding{of}\n\n{text}\n\nSHA-256 of what it computes: {_code(embedding.hash)}"
 
 
@@ -109,7 +105,7 @@ def _training(about: Mapping[str, Any]) -> str:
     lines = [
         _preset(about, config.get("objective", {})),
         _seeds(about, settings.get("seeds", [])),
-        _length(config),
+        _length(about),
         _demos(about, settings),
         _split(about.get("split", {}), settings.get("split_seed")),
     ]
@@ -142,9 +138,10 @@ def _seeds(about: Mapping[str, Any], seeds: Sequence[int]) -> str:
     return line
 
 
-def _length(config: Mapping[str, Any]) -> str:
-    if config.get("objective", {}).get("name") == CLOSED_FORM:
+def _length(about: Mapping[str, Any]) -> str:
+    if about.get("objective", {}).get("closed_form"):
         return "in closed form"
+    config = about.get("settings", {}).get("fit", {})
     if "steps" not in config or "batch" not in config:
         return ""
     return f"{config['steps']:,} optimiser steps of {config['batch']:,} triplets of states"
@@ -219,6 +216,11 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _code(text: str) -> str:
     """Text as code, whatever is in it: a file's names must not turn into headings, links or HTML."""
     return f"`{' '.join(text.replace('`', chr(39)).split())}`"
+
+
+def _plain(text: str) -> str:
+    """Text without characters that Markdown or HTML give a meaning."""
+    return re.sub(r"[<>\[\]`#|\\]", " ", text)
 
 
 def _count(num: int, noun: str) -> str:

@@ -1,17 +1,17 @@
-"""How an embedding is trained: settings and presets. Imports no JAX, so that `--help` answers at once."""
+"""Settings of training an embedding, and presets. Imports no JAX, so that `--help` answers at once."""
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
-from planspace.embed.embedding import InputType
-from planspace.errors import UsageError
+from planspace.embed.embedding import INPUT_TYPES, InputType
+from planspace.embed.objective import PAGE, Objective, as_objective
+from planspace.embed.objectives import OBJECTIVES
+from planspace.embed.objectives.variational import Variational
+from planspace.errors import UsageError, unknown
 
 PresetName = Literal["modern", "paper"]
-ObjectiveName = Literal[
-    "variational", "direct", "vae", "e2c", "straightening", "distance", "pca", "random", "shuffled"
-]
-Metric = Literal["l2", "squared", "l1"]
 
 PAPER_SPACINGS = (1, 3, 5, 10, 30)
 """Steps between the members of a triplet (paper, section on the variational embedding)."""
@@ -20,119 +20,158 @@ PAPER_HIDDEN = (64, 64)
 
 
 @dataclass(frozen=True)
-class ObjectiveConfig:
-    """Which objective, and its weights."""
-
-    name: ObjectiveName = "variational"
-    """The paper's variational or direct one, or one it is compared with."""
-    linearity: float = 8.0
-    """lambda of equation 7: the weight of z_t lying on the line from z_a to z_b; the paper has 0.5. For e2c,
-    the weight of the predicted z; for straightening, of the curvature."""
-    prior: float = 0.1
-    """Weight of the KL to the prior; 1 in the paper (below it, beta of Higgins et al. 2017)."""
-    double_variance: bool = True
-    """Whether z_hat's variance is doubled, to match q(z|x_t) (paper, section on the implementation)."""
-    balance: float = 0.5
-    """Share of the linearity term's gradient that moves q_t; the rest moves q_a and q_b. 0.5 is plain."""
-    curvature: float = 0.0
-    """Weight of 1 - cos between z_t - z_a and z_b - z_t, added to the variational objective."""
-    distance: float = 0.0
-    """Weight of (|z_a - z_b| / s - time between)^2, added to the variational objective; the time is counted
-    in mean durations of a demonstration, s is learned."""
-    anywhere: float = 1.0
-    """Weight of an auto-encoder's bound on states put together from numbers of different demonstrations, in a
-    range half as wide again: an agent goes where no plan went, and z should know the state there, too."""
-    metric: Metric = "l2"
-    """The distance d of equation 2 between states, for the direct objective, over the encoder's inputs."""
-
-
-@dataclass(frozen=True)
 class FitConfig:
-    """How an embedding is trained."""
+    """Settings of training an embedding."""
 
     preset: PresetName = "modern"
-    """Where the other fields' values come from."""
-    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    """What is maximised."""
+    """The preset that the other settings come from. It decides how a seed is selected: `modern` by the
+    midpoint error on the validation split, `paper` by the path error on the training split."""
+    objective: Objective = field(default_factory=Variational)
+    """What is minimised, and on which samples."""
     columns: tuple[str, ...] = ()
-    """Names of the states the encoder reads; none at all reads all of them."""
+    """Names of the states that the encoder reads; by default all."""
     z_dim: int = 3
     """Numbers in z; the paper has 3 and 10."""
     inputs: InputType = "trig"
-    """`raw` numbers, `standard` for standardised ones, or `trig` with sin and cos of circular angles."""
+    """`raw`: numbers as they are. `standard`: standardised, for plans in which windings matter. `trig`: sin
+    and cos of angles on a circle, then standardised."""
     hidden: tuple[int, ...] = PAPER_HIDDEN
     """Units of the hidden layers of encoder and decoder."""
     spacings: tuple[int, ...] = ()
-    """Steps between the members of a triplet; none at all draws any three states of a demonstration."""
-    near: float = 0.5
-    """Of how many of those three states the distance is drawn log-uniformly, and so mostly short; the others
-    are most of a demonstration apart. Long ones make whole plans straight, short ones keep z of use to a
-    policy."""
+    """Steps between the members of a triplet; by default any three states of a demonstration."""
+    short_fraction: float = 0.5
+    """Without `spacings`: the fraction of triplets with a log-uniform, so mostly short, length; the others
+    span most of a demonstration. Lower values give straighter plans; higher values give a z that helps
+    policies more."""
     sigma_floor: float = 0.2
-    """Least deviation of the decoder, in units of its inputs; without it the likelihood runs away."""
+    """Smallest standard deviation of the decoder, in units of its inputs; without it the likelihood grows
+    without bound."""
     steps: int = 6_000
     """Optimiser steps."""
     batch: int = 512
-    """Triplets a step."""
+    """Triplets per step."""
     learning_rate: float = 2e-3
-    """Adam's rate at first."""
+    """Initial learning rate of Adam."""
     decay: bool = True
-    """Whether the rate falls to zero by a cosine."""
+    """Decrease the learning rate to zero along a cosine."""
     clip_norm: float | None = 10.0
-    """Gradients are clipped to this norm."""
+    """Norm to which gradients are clipped."""
     average: float = 0.0
-    """Decay of a running average of the weights, which then is what is kept; 0 keeps the last ones."""
-    z_deviation: float = 2.5
-    """z is scaled afterwards so that its dimensions deviate by so much over the training states, in the root
-    of their mean square; 0 leaves it as trained, near 1."""
+    """Decay of a running average of the weights, which is then saved; 0 saves the last weights."""
+    z_std: float = 2.5
+    """z is scaled after training until the root mean square of its standard deviations over the training
+    states is this; 0 leaves z as trained, which is near 1."""
     whitening: float = 0.2
-    """How far the principal directions of z are brought to the same deviation afterwards: 0 not at all, 1 all
-    the way. It leaves straight lines straight and lets the lesser directions be seen."""
+    """How much the standard deviations of z's principal directions are equalised after training: 0 not at
+    all, 1 fully. Straight lines stay straight, and small directions become visible."""
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
+        """Check the settings.
 
         Raises:
-            UsageError: one is out of its range; it is named.
+            UsageError: one is out of its range; the message names it.
         """
-        o = self.objective
-        weights = (o.linearity, o.prior, o.curvature, o.distance, o.anywhere)
-        wrong = [
-            (
-                min(self.z_dim, self.steps, self.batch, *self.hidden) < 1,
-                "z_dim, steps, batch, hidden: 1 or more",
-            ),
-            (min(self.spacings, default=1) < 1, "spacings: 1 step or more"),
-            (not all(0 <= w < math.inf for w in weights), "weights of the objective: 0 or more"),
-            (not 0 < self.learning_rate < math.inf, "learning_rate: above 0"),
-            (self.clip_norm is not None and not self.clip_norm > 0, "clip_norm: above 0"),
-            (not 0 <= self.sigma_floor < math.inf, "sigma_floor: 0 or more"),
-            (not 0 <= self.z_deviation < math.inf, "z_deviation: 0 or more"),
-            (not 0 <= self.average < 1, "average: from 0 to below 1"),
-            (not 0 <= self.near <= 1, "near: from 0 to 1"),
-            (not 0 <= o.balance <= 1, "balance: from 0 to 1"),
-            (not 0 <= self.whitening <= 1, "whitening: from 0 to 1"),
-        ]
-        for is_wrong, range_of in wrong:
-            if is_wrong:
-                raise UsageError(f"how an embedding is trained, {range_of}.")
+        for name, values in (
+            ("z_dim", (self.z_dim,)),
+            ("steps", (self.steps,)),
+            ("batch", (self.batch,)),
+            ("hidden", self.hidden),
+            ("spacings", self.spacings),
+        ):
+            for value in values:
+                _check(name, value, value >= 1, "at least 1")
+        for name in ("sigma_floor", "z_std"):
+            value = getattr(self, name)
+            _check(name, value, 0 <= value < math.inf, "at least 0 and finite")
+        for name in ("short_fraction", "whitening"):
+            _check(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
+        _check("average", self.average, 0 <= self.average < 1, "at least 0 and below 1")
+        rate, norm = self.learning_rate, self.clip_norm
+        _check("learning_rate", rate, 0 < rate < math.inf, "above 0 and finite")
+        _check("clip_norm", norm, norm is None or norm > 0, "above 0")
+        if self.inputs not in INPUT_TYPES:
+            raise unknown("inputs", self.inputs, INPUT_TYPES)
 
-    def changed(self, **changes: Any) -> "FitConfig":
-        """A copy with some fields changed, the objective's by their own names; None leaves a field alone."""
-        changes = {k: v for k, v in changes.items() if v is not None}
-        names = {f.name for f in fields(ObjectiveConfig)}
-        objective = replace(self.objective, **{k: v for k, v in changes.items() if k in names})
-        return replace(self, objective=objective, **{k: v for k, v in changes.items() if k not in names})
+    def with_objective(self, objective: str | Objective | Callable[..., Any]) -> "FitConfig":
+        """Return these settings with another objective.
+
+        Args:
+            objective: the name of a shipped one, which keeps the weights that it shares with the present one,
+                so that a preset's weights hold; or an objective or a function `loss(model, sample, *, key)`,
+                which is taken as it is.
+
+        Raises:
+            UsageError: the name is unknown, or the object is not an `Objective`.
+        """
+        if not isinstance(objective, str):
+            return replace(self, objective=as_objective(objective))
+        if objective not in OBJECTIVES:
+            error = unknown("objective", objective, OBJECTIVES)
+            raise UsageError(f"{error} To write an Objective of your own, see {PAGE}.")
+        return replace(self, objective=_share_weights(OBJECTIVES[objective], self.objective))
+
+    def with_settings(self, **changes: Any) -> "FitConfig":
+        """Return these settings with some changed, the objective's own ones included.
+
+        Args:
+            changes: new values by name, for example `steps=100, linearity=2.0`.
+
+        Raises:
+            UsageError: neither these settings nor the objective have a setting of that name.
+        """
+        own, weights = ({f.name for f in _settings_of(given)} for given in (self, self.objective))
+        for name in changes:
+            if name not in own | weights:
+                raise unknown("setting", name, own | weights)
+        objective: Any = self.objective
+        if of_objective := {name: changes[name] for name in changes if name not in own}:
+            objective = replace(objective, **of_objective)
+        return replace(self, **{"objective": objective, **{n: changes[n] for n in changes if n in own}})
+
+
+_RENAMED = {"near": "short_fraction", "z_deviation": "z_std"}
+_RENAMED_WEIGHTS = {"anywhere": "off_data_weight"}
+
+
+def update_saved(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the settings of `FitConfig` that version 0.1.0 saved to today's names.
+
+    Version 0.1.0 saved the weights of all objectives; those that the objective does not use are left out.
+
+    Args:
+        saved: plain data; settings under today's names stay as they are.
+    """
+    settings = {_RENAMED.get(name, name): value for name, value in saved.items()}
+    weights = settings.get("objective")
+    if isinstance(weights, Mapping) and weights.get("name") in OBJECTIVES:
+        used = {"name"} | {f.name for f in _settings_of(OBJECTIVES[weights["name"]])}
+        renamed = {_RENAMED_WEIGHTS.get(name, name): value for name, value in weights.items()}
+        settings["objective"] = {name: value for name, value in renamed.items() if name in used}
+    return settings
+
+
+def _share_weights(new: Objective, old: Objective) -> Objective:
+    names = {f.name for f in _settings_of(old)} & {f.name for f in _settings_of(new)}
+    return replace(new, **{name: getattr(old, name) for name in names}) if is_dataclass(new) else new
+
+
+def _settings_of(given: Any) -> tuple[Any, ...]:
+    return fields(given) if is_dataclass(given) else ()
+
+
+def _check(name: str, value: Any, fits: bool, wanted: str) -> None:
+    if not fits:
+        raise UsageError(f"`{name}` must be {wanted}, got {value}.")
 
 
 PRESETS: dict[PresetName, FitConfig] = {
     "modern": FitConfig(),
     "paper": FitConfig(
         preset="paper",
-        objective=ObjectiveConfig(linearity=0.5, prior=1.0, anywhere=0.0),
+        objective=Variational(linearity=0.5, prior=1.0, off_data_weight=0.0),
         spacings=PAPER_SPACINGS,
         inputs="raw",
-        z_deviation=0.0,
+        z_std=0.0,
         whitening=0.0,
         sigma_floor=0.0,
         steps=200_000,  # the paper gives no length; the 2020 code took over 9 million
@@ -142,3 +181,5 @@ PRESETS: dict[PresetName, FitConfig] = {
         clip_norm=None,
     ),
 }
+"""`modern`: what measured best. `paper`: what the paper says and, where it is silent, what the 2020 code did.
+The two are never mixed in one table."""

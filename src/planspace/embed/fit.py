@@ -1,5 +1,7 @@
-"""Training an embedding from demonstrations: several seeds at once, the best one chosen and saved."""
+"""Train an embedding from demonstrations: several seeds at once, of which the best is selected and saved."""
 
+import inspect
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -11,7 +13,7 @@ import numpy as np
 
 from planspace.demos.dataset import Demos
 from planspace.embed.card import model_card
-from planspace.embed.config import FitConfig
+from planspace.embed.config import PRESETS, FitConfig, update_saved
 from planspace.embed.embedding import (
     CARD,
     DESCRIPTION,
@@ -32,11 +34,15 @@ from planspace.embed.geometry import (
     tabulate,
 )
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
-from planspace.embed.principal import principal_components, principal_turn
+from planspace.embed.objective import FunctionObjective, Objective, as_objective
+from planspace.embed.principal import principal_turn
 from planspace.embed.samples import Samples, make_samples
+from planspace.embed.steps import check_loss
 from planspace.embed.support import Support
 from planspace.embed.training import train
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError
+from planspace.progress import progress_shown
+from planspace.seams import name_of, plain_settings
 from planspace.storage.files import write_bytes
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
@@ -56,42 +62,97 @@ CURVES = (
 """The metrics logged."""
 
 
-def fit(
+def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by keyword
     demos: Demos,
-    out: Path,
+    objective: str | Objective | Callable[..., Any] | None = None,
     *,
-    config: FitConfig,
-    num_seeds: int,
-    seed: int,
+    config: FitConfig | None = None,
+    out: str | Path | None = None,
+    num_seeds: int = 5,
+    seed: int = 0,
     split_seed: int | None = None,
+    verbose: bool = True,
     tensorboard: bool = False,
 ) -> Embedding:
-    """Trains seeds seed, seed + 1, ... at once, chooses one, and saves it in `out`.
+    """Train an embedding from demonstrations: several seeds at once, of which the best is selected.
 
-    `modern` chooses by the midpoint error on the validation split among the seeds with no collapsed
-    dimension; `paper` by the path error on the training split, as the paper does. The test split takes no
-    part in either. The same call continues an interrupted one, and returns a finished one.
+    The preset `modern` selects by the midpoint error on the validation split among the seeds without a
+    collapsed dimension; `paper` by the path error on the training split, as the paper does. The test split is
+    used for neither.
 
     Args:
         demos: the demonstrations.
-        out: a folder of its own.
-        config: how to train.
-        num_seeds: how many seeds.
-        seed: the first of them.
-        split_seed: the seed of the split by demonstration; by default `seed`.
-        tensorboard: whether to write the curves for TensorBoard, too.
+        objective: what to train on: the name of a shipped objective (see `OBJECTIVES`), an `Objective`, or a
+            function `loss(model, sample, *, key)`; by default that of `config`. See
+            docs/howto/own-objective.md.
+        config: the other settings; by default the preset `modern`.
+        out: a folder for the embedding. The same call continues an interrupted training, and returns a
+            finished one. By default nothing is saved.
+        num_seeds: number of seeds to train.
+        seed: the first seed; seeds seed, seed + 1, ... are trained.
+        split_seed: seed of the split of the demonstrations; by default `seed`.
+        verbose: show a progress bar.
+        tensorboard: also write the curves for TensorBoard; needs `out`.
 
     Raises:
-        PlanspaceError: the demonstrations do not do, the folder was made with other settings, or a seed
+        PlanspaceError: the demonstrations cannot be used, the folder was made with other settings, or a seed
             diverged.
+        UsageError: a name is unknown, or the objective does not fit `Objective`.
     """
-    split_seed = seed if split_seed is None else split_seed
-    seeds = list(range(seed, seed + num_seeds))
-    if config.objective.name == "pca":
-        seeds = seeds[:1]  # it has a closed form
-    settings = {"demos": demos.hash, "seeds": seeds, "split_seed": split_seed, "fit": asdict(config)}
-    prepared = _prepare(demos, config, split_seed)  # refuses what does not do before anything is written
-    open_run(out, settings)
+    config = config or PRESETS["modern"]
+    config = replace(config, objective=as_objective(config.objective))
+    if objective is not None:
+        config = config.with_objective(objective)
+    if num_seeds < 1 or seed < 0:
+        raise UsageError(f"`num_seeds` must be at least 1 and `seed` at least 0, got {num_seeds} and {seed}.")
+    if out is None and tensorboard:
+        raise UsageError("`tensorboard` needs `out`, a folder for the curves.")
+    request = _Request(config, range(seed, seed + num_seeds), seed if split_seed is None else split_seed)
+    with progress_shown(verbose):
+        if out is not None:
+            return _fit(demos, Path(out), request, tensorboard)
+        with tempfile.TemporaryDirectory() as folder:
+            return _fit(demos, Path(folder) / "embedding", request, tensorboard)
+
+
+def fit_seeds(
+    demos: Demos, out: Path, *, config: FitConfig, seeds: Sequence[int], split_seed: int
+) -> list[Embedding]:
+    """Train the given seeds and return the embedding of each, without selecting one.
+
+    Args:
+        demos: the demonstrations.
+        out: a folder for the checkpoint and the log.
+        config: how to train.
+        seeds: the seeds; an objective with a closed form gives one embedding for any seeds.
+        split_seed: seed of the split of the demonstrations.
+
+    Raises:
+        PlanspaceError: the demonstrations cannot be used, or a seed diverged.
+    """
+    return _train_seeds(_prepare(demos, config, split_seed), out, config, seeds, tensorboard=False)
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is asked for, apart from the demonstrations."""
+
+    config: FitConfig
+    seeds: Sequence[int]
+    split_seed: int
+
+
+def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embedding:
+    config, split_seed = request.config, request.split_seed
+    prepared = _prepare(demos, config, split_seed)  # refuses unusable input before anything is written
+    seeds = list(request.seeds if prepared.solution is None else request.seeds[:1])
+    settings = {
+        "demos": demos.hash,
+        "seeds": seeds,
+        "split_seed": split_seed,
+        "fit": plain_settings(config),
+    }
+    open_run(out, settings, update=lambda saved: saved | {"fit": update_saved(saved.get("fit", {}))})
     if (out / DESCRIPTION).exists():
         return load_embedding(out)
     embeddings = _train_seeds(prepared, out, config, seeds, tensorboard)
@@ -106,6 +167,7 @@ def fit(
         "preset": config.preset,
         "seed": seeds[chosen],
         "settings": settings,
+        "objective": _describe(config.objective, closed_form=prepared.solution is not None),
         "problem": demos.info.problem,
         "split": {name: part.tolist() for name, part in split.items()},
         **_measurements(embeddings[chosen], used, split),
@@ -118,22 +180,11 @@ def fit(
     return embedding
 
 
-def fit_seeds(
-    demos: Demos, out: Path, *, config: FitConfig, seeds: Sequence[int], split_seed: int
-) -> list[Embedding]:
-    """Trains the given seeds and returns the embedding of each; `fit` without the choice.
-
-    Args:
-        demos: the demonstrations.
-        out: where checkpoint and log are kept.
-        config: how to train.
-        seeds: the seeds; pca has a closed form and makes one embedding, whatever they are.
-        split_seed: the seed of the split by demonstration.
-
-    Raises:
-        PlanspaceError: the demonstrations do not do, or a seed diverged.
-    """
-    return _train_seeds(_prepare(demos, config, split_seed), out, config, seeds, tensorboard=False)
+def _describe(objective: Objective, *, closed_form: bool) -> dict[str, Any]:
+    """The objective in words, for the model card."""
+    written = objective.function if isinstance(objective, FunctionObjective) else type(objective)
+    first_line, *_ = (inspect.getdoc(written) or "").splitlines() or [""]
+    return {"name": name_of(objective), "summary": first_line, "closed_form": closed_form}
 
 
 @dataclass(frozen=True)
@@ -141,11 +192,14 @@ class _Prepared:
     """Demonstrations ready for training."""
 
     demos: Demos
-    """With the states the encoder reads alone."""
+    """The demonstrations, with only the states that the encoder reads."""
     split: dict[str, np.ndarray]
     train_states: np.ndarray
     inputs: Inputs
-    samples: Samples
+    samples: Samples | None
+    """None if the objective has a closed form."""
+    solution: Embedding | None
+    """The embedding in closed form, if the objective has one."""
 
 
 def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
@@ -161,24 +215,29 @@ def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
             )
     info, states = demos.info, demos.states[demos.rows(split["train"])]
     inputs = Inputs.fit(states, info.names, info.units, info.circular_columns, config.inputs)
-    samples = make_samples(demos, split["train"], inputs, config, split_seed)
-    return _Prepared(demos, split, states, inputs, samples)
+    solution = config.objective.closed_form(inputs, states, config.z_dim)
+    samples = None
+    if solution is None:
+        samples = make_samples(demos, split["train"], inputs, config, split_seed)
+        check_loss(samples, config)
+    return _Prepared(demos, split, states, inputs, samples, solution)
 
 
 def _train_seeds(
     prepared: _Prepared, out: Path, config: FitConfig, seeds: Sequence[int], tensorboard: bool
 ) -> list[Embedding]:
-    def turned(embedding: Embedding) -> Embedding:
-        if config.z_deviation == 0:
+    def scaled(embedding: Embedding) -> Embedding:
+        if config.z_std == 0:
             return embedding
-        how = {"whitening": config.whitening, "deviation": config.z_deviation}
+        how = {"whitening": config.whitening, "deviation": config.z_std}
         return replace(embedding, turn=principal_turn(embedding, prepared.train_states, **how))
 
     def to_embeddings(models: PlanSpaceModel) -> list[Embedding]:
-        return [turned(to_numpy(models, i, prepared.inputs, config)) for i in range(len(seeds))]
+        return [scaled(to_numpy(models, i, prepared.inputs, config)) for i in range(len(seeds))]
 
-    if config.objective.name == "pca":
-        return [turned(principal_components(prepared.inputs, prepared.train_states, config.z_dim))]
+    if prepared.samples is None or prepared.solution is not None:
+        assert prepared.solution is not None
+        return [scaled(prepared.solution)]
     tracker = open_tracker(out / "tensorboard") if tensorboard else None
     with tracker or nullcontext():
         log = _Log(out / LOG, to_embeddings, prepared.demos, prepared.split, config.steps, seeds, tracker)

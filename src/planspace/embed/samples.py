@@ -1,4 +1,4 @@
-"""What training draws from: the inputs made of demonstrations, and the triplets cut out of them."""
+"""The samples that training draws: triplets of states, as inputs of the encoder."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,30 +7,44 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from planspace.demos.dataset import Demos
-from planspace.demos.triplets import random_triplets, triplet_rows
 from planspace.embed.config import FitConfig
 from planspace.embed.embedding import Inputs
-from planspace.embed.objectives import Sample
+from planspace.embed.objective import Objective
+from planspace.embed.triplet_source import TripletSource
 from planspace.errors import PlanspaceError
+from planspace.seams import name_of
 
 WIDER = 1.5
-"""How much wider than the demonstrations the states reach that are put together from their numbers."""
-NUM_RANDOM = 400_000
-"""Triplets of random length drawn before training, from which batches are then taken."""
+"""States off the demonstrations have a range this many times as wide."""
+
+
+class Sample(eqx.Module):
+    """Three states of a demonstration, x_a, x_t and x_b in this order, and what is known about them."""
+
+    x: Float[Array, "*batch 3 input"]
+    """The three states as inputs of the encoder."""
+    w: Float[Array, "*batch"]
+    """The fraction of the time from a to b that has passed at t."""
+    duration: Float[Array, "*batch"]
+    """The time from a to b, in mean durations of a demonstration."""
+    off_data: Float[Array, "*batch input"]
+    """A state off the demonstrations: its numbers come from different demonstrations, in a wider range."""
+    control: Float[Array, "*batch control"]
+    """The control at a, in standard deviations; empty unless the objective needs controls."""
 
 
 class Samples(eqx.Module):
-    """All states of the demonstrations, and the rows of the triplets."""
+    """All states of the demonstrations, and the triplets."""
 
     inputs: Float[Array, "row input"]
     controls: Float[Array, "row control"]
-    """The control at each state, over its deviation; 0 at the last of a demonstration."""
+    """The control at each state, in standard deviations; 0 at the last state of a demonstration."""
     centre: Float[Array, " input"]
-    """The mean of the inputs over the training states."""
+    """Mean of the inputs over the training states."""
     columns: Int[Array, " input"]
-    """The column of the state each input comes from."""
+    """The column of the state that each input comes from."""
     wider: Float[Array, " input"]
-    """How much wider than in the demonstrations an input may be anywhere; 1 for sin and cos."""
+    """Factor by which the range of an input is wider off the demonstrations; 1 for sin and cos."""
     triplets: Int[Array, "triplet 3"]
     w: Float[Array, " triplet"]
     """See `Sample`."""
@@ -38,21 +52,21 @@ class Samples(eqx.Module):
     """See `Sample`."""
 
     def draw(self, key: Key[Array, ""], batch: int) -> Sample:
-        """A batch of triplets, with a leading axis."""
-        row_key, anywhere_key = jr.split(key)
+        """Draw a batch of samples, with a leading axis."""
+        row_key, off_data_key = jr.split(key)
         chosen = jr.randint(row_key, (batch,), 0, len(self.triplets))
         rows = self.triplets[chosen]
         return Sample(
             self.inputs[rows],
             self.w[chosen],
             self.duration[chosen],
-            self._anywhere(anywhere_key, batch),
+            self._off_data(off_data_key, batch),
             self.controls[rows[:, 0]],
         )
 
-    def _anywhere(self, key: Key[Array, ""], batch: int) -> Float[Array, "batch input"]:
-        """States each number of which comes from another demonstration, widened about the mean."""
-        num_columns = len(self.wider)  # as many draws as inputs will do: sin and cos share theirs
+    def _off_data(self, key: Key[Array, ""], batch: int) -> Float[Array, "batch input"]:
+        """Draw states whose numbers come from different demonstrations, widened about the mean."""
+        num_columns = len(self.wider)  # one draw per input is enough: sin and cos share that of their angle
         chosen = jr.randint(key, (batch, num_columns), 0, len(self.triplets))
         rows = self.triplets[chosen, 1][:, self.columns]
         values = jnp.take_along_axis(self.inputs, rows, axis=0)
@@ -62,60 +76,48 @@ class Samples(eqx.Module):
 def make_samples(
     demos: Demos, train: Int[np.ndarray, " demo"], inputs: Inputs, config: FitConfig, seed: int
 ) -> Samples:
-    """Cuts the training split into what the objective is trained on.
+    """Prepare the training split for drawing batches.
 
     Args:
         demos: all demonstrations.
         train: which of them are trained on.
         inputs: what the encoder sees of a state.
         config: how to train.
-        seed: of triplets of random length, and of shuffling.
+        seed: seed of the draws before training.
 
     Raises:
-        PlanspaceError: the demonstrations are too short, or have no controls where the objective needs them.
+        PlanspaceError: the demonstrations are too short, or have no controls and the objective needs them.
     """
-    name, rng = config.objective.name, np.random.default_rng(np.random.SeedSequence([seed, 1]))
-    if name == "e2c":
-        triplets = triplet_rows(demos, train, (1,))  # its dynamics are those of one step
-    elif config.spacings:
-        triplets = triplet_rows(demos, train, config.spacings)
-    else:
-        triplets = random_triplets(demos, train, NUM_RANDOM, rng, config.near)
+    objective, rng = config.objective, np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    source = TripletSource(demos, train, config.spacings, config.short_fraction, rng)
+    triplets, times = objective.draw_triplets(source)
     mean_duration = np.mean(demos.times[demos.offsets[1:] - 1][train])
-    t_a, t_t, t_b = demos.times[triplets].T
-    if not (t_b > t_a).all():
-        raise PlanspaceError("the times of a demonstration do not increase; look at planspace demos show.")
+    t_a, t_t, t_b = times.T
     circles = inputs.circular_columns if inputs.form == "trig" else ()
     wider = [1.0 if c in circles else WIDER for c in inputs.columns]
-    if name == "shuffled":
-        triplets = shuffle(triplets, rng)
     return Samples(
         inputs=jnp.asarray(inputs(demos.states), dtype=jnp.float32),
         centre=jnp.asarray(inputs(demos.states[demos.rows(train)]).mean(axis=0), dtype=jnp.float32),
         columns=jnp.asarray(inputs.columns),
         wider=jnp.asarray(wider, dtype=jnp.float32),
-        controls=jnp.asarray(_controls_of_states(demos, train, name == "e2c"), dtype=jnp.float32),
+        controls=jnp.asarray(_controls_of_states(demos, train, objective), dtype=jnp.float32),
         triplets=jnp.asarray(triplets),
         w=jnp.asarray((t_t - t_a) / (t_b - t_a), dtype=jnp.float32),
         duration=jnp.asarray((t_b - t_a) / mean_duration, dtype=jnp.float32),
     )
 
 
-def shuffle(triplets: Int[np.ndarray, "triplet 3"], rng: np.random.Generator) -> Int[np.ndarray, "triplet 3"]:
-    """Triplets of the same states, but each member from another triplet: same marginals, no plans."""
-    return np.stack([rng.permutation(column) for column in triplets.T], axis=1)
-
-
-def _controls_of_states(demos: Demos, train: np.ndarray, needed: bool) -> np.ndarray:
-    if not needed:
+def _controls_of_states(demos: Demos, train: np.ndarray, objective: Objective) -> np.ndarray:
+    if not objective.needs_controls():
         return np.zeros((len(demos.states), 0))
     if demos.info.num_controls == 0:
         raise PlanspaceError(
-            "the objective e2c needs controls, the demonstrations have none; choose another objective."
+            f"the objective {name_of(objective)} needs controls, but the demonstrations have none; choose "
+            "another objective."
         )
     controls = np.zeros((len(demos.states), demos.info.num_controls))
     last = np.zeros(len(demos.states), dtype=bool)
     last[demos.offsets[1:] - 1] = True
-    deviation = np.concatenate([demos.episode(int(i)).controls for i in train]).std(axis=0)
-    controls[~last] = demos.controls / np.where(deviation > 0, deviation, 1.0)
+    std = np.concatenate([demos.episode(int(i)).controls for i in train]).std(axis=0)
+    controls[~last] = demos.controls / np.where(std > 0, std, 1.0)
     return controls

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -28,6 +28,7 @@ def open_run(
     *,
     renamed: Mapping[str, str] = NOTHING,
     added: Mapping[str, Any] = NOTHING,
+    update: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
 ) -> Path:
     """Open a run folder, to start a run or to continue it.
 
@@ -37,6 +38,7 @@ def open_run(
         renamed: old names of settings to today's, so that runs of earlier versions can be continued; see
             `update_settings`.
         added: settings that earlier versions did not have, and the value that reproduces what they did.
+        update: converts saved settings of earlier versions, for changes that the two tables cannot express.
 
     Returns:
         The folder.
@@ -57,7 +59,8 @@ def open_run(
             )
         write_json(saved, config)
         return path
-    changed = list(list_differences(update_settings(read_json(saved), renamed=renamed, added=added), config))
+    before = update(update_settings(read_json(saved), renamed=renamed, added=added))
+    changed = list(list_differences(before, config))
     if changed:
         raise PlanspaceError(
             f"{path} was made with other settings: {'; '.join(changed)}. "

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from planspace.embed.config import PRESETS, ObjectiveName
+from planspace.embed.config import PRESETS
 from planspace.embed.embedding import InputType
 from planspace.rl.config import Algo, ShapingType, TrainConfig
 from planspace.study.design import BLOCK, Arm, Builder, Claim, Study, panel_of
@@ -22,7 +22,7 @@ CONTROLLED: tuple[tuple[str, Algo], ...] = (
     ("reacher-raw", "ppo"),
 )
 Z, TRIG, TRIG_Z = "raw + z", "raw + sin/cos", "raw + sin/cos + z"
-OBJECTIVES: dict[str, ObjectiveName] = {
+OBJECTIVES: dict[str, str] = {
     "raw + random encoder": "random",
     "raw + auto-encoder": "vae",
     "raw + shuffled": "shuffled",
@@ -31,7 +31,7 @@ OBJECTIVES: dict[str, ObjectiveName] = {
 }
 NORMALISED, WIDE, LAYER_NORM = "raw, normalised", "raw, wider network", "raw, layer norm"
 TO_POLICY, TO_CRITIC = "raw + z to the policy", "raw + z to the critic"
-NUM_OF: dict[ObjectiveName, int] = {"random": 3, "pca": 1}
+NUM_OF: dict[str, int] = {"random": 3, "pca": 1}
 """Embeddings that policies take in turn, where they are not as many as the budget says."""
 
 
@@ -60,7 +60,7 @@ def _control_arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
     yield grid.arm(panel, TRIG_Z, replace(augment, obs="trig"), fits)
     yield grid.arm(panel, NORMALISED, base.learning(normalise_obs=True))
     for label, objective in OBJECTIVES.items():
-        config = PRESETS["modern"].changed(name=objective)
+        config = PRESETS["modern"].with_objective(objective)
         yield grid.arm(panel, label, augment, grid.fits(plans, config, NUM_OF.get(objective, 0)))
     yield grid.arm(panel, WIDE, base.learning(match_z=PRESETS["modern"].z_dim))
     yield grid.arm(panel, LAYER_NORM, base.learning(layer_norm=True))
@@ -111,7 +111,7 @@ def demos(budget: str, grid: Builder) -> Study:
 
 
 def _demo_arms(panel: str, form: InputType, grid: Builder) -> Iterator[Arm]:
-    base, config = TrainConfig(SWING_UP), PRESETS["modern"].changed(inputs=form)
+    base, config = TrainConfig(SWING_UP), replace(PRESETS["modern"], inputs=form)
     seeds = EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
     yield grid.arm(panel, RAW, base, seeds=seeds)
     for source in (WOUND, SST, POLISHED):
@@ -176,7 +176,7 @@ def _shaping_arms(panel: str, reward: RewardType, grid: Builder) -> Iterator[Arm
 # --- recipe ---------------------------------------------------------------------------------------------
 
 RECIPE = "recipe: sin/cos + z"
-RECIPE_FIT = PRESETS["modern"].changed(linearity=2.0)
+RECIPE_FIT = PRESETS["modern"].with_settings(linearity=2.0)
 RECIPE_EACH = 15
 """Policies for each of the embeddings."""
 RECIPE_SEED, RECIPE_FIT_SEED = 200, 10
@@ -189,7 +189,7 @@ def recipe(budget: str, grid: Builder) -> Study:
     raw = TrainConfig(SWING_UP, preset="modern")
     trig, trig_z = replace(raw, obs="trig"), replace(raw, obs="trig", z="augment")
     unseen = replace(grid, seed=RECIPE_SEED)
-    random = grid.fits(plans, PRESETS["modern"].changed(name="random"), first=RECIPE_FIT_SEED)
+    random = grid.fits(plans, PRESETS["modern"].with_objective("random"), first=RECIPE_FIT_SEED)
     seeds = RECIPE_EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
     fits = grid.fits(plans, RECIPE_FIT, first=RECIPE_FIT_SEED)
     arms = (

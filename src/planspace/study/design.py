@@ -184,7 +184,8 @@ class Builder:
 
     def fit(self, plans: PlansUnit, config: FitConfig, **seeds: int) -> FitUnit:
         """An embedding; `seeds` are `num_seeds` and `seed`."""
-        return FitUnit(plans, config.changed(steps=self.budget.fit_steps), **seeds)
+        steps = self.budget.fit_steps or config.steps
+        return FitUnit(plans, replace(config, steps=steps), **seeds)
 
     def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
         """One a seed, to be taken in turn."""

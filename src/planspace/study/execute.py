@@ -20,7 +20,7 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.embedding import Embedding, load_embedding
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.figures.projection import principal_components
@@ -176,7 +176,9 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
 
 def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
     demos = load_demos(folder_of(unit.plans, out))
-    embedding = fit(demos, folder, config=unit.config, num_seeds=unit.num_seeds, seed=unit.seed, split_seed=0)
+    embedding = fit_embedding(
+        demos, config=unit.config, out=folder, num_seeds=unit.num_seeds, seed=unit.seed, split_seed=0
+    )
     about = embedding.about
     found = FitResult(
         seed=about["seed"],
@@ -185,9 +187,9 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
         paths=_paths(embedding, demos),
         hash=embedding.hash,
     )
+    if about["objective"]["closed_form"]:
+        return found  # there is no training log
     rows = [row for row in read_log(folder) if "path_error" in row]
-    if not rows:  # a closed form, without training
-        return found
     rows = [rows[i] for i in sorted({round(x) for x in np.linspace(0, len(rows) - 1, LOG_ROWS)})]
     path_error, bound = (tuple(_round_all(row[name], 4) for row in rows) for name in ("path_error", "bound"))
     return replace(found, log_steps=tuple(row["step"] for row in rows), path_error=path_error, bound=bound)

@@ -49,7 +49,7 @@ def _notes(steps: int) -> Iterator[str]:
 def _arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
     panel, plans = panel_of(task, algo), grid.plans_for(task)
     low, high = (
-        grid.fit(plans, PRESETS["paper"].changed(z_dim=z_dim), num_seeds=grid.budget.embeddings)
+        grid.fit(plans, replace(PRESETS["paper"], z_dim=z_dim), num_seeds=grid.budget.embeddings)
         for z_dim in (LOW_DIM, HIGH_DIM)
     )
     base = TrainConfig(task, algo)

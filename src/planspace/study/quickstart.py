@@ -12,7 +12,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.embedding import DESCRIPTION
-from planspace.embed.fit import fit
+from planspace.embed.fit import fit_embedding
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
@@ -111,7 +111,9 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
     problem = load_problem(task.problem)
     plan_into(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
     demos = load_demos(out / "demos")
-    embedding = fit(demos, out / "embedding", config=budget.fit, num_seeds=budget.embedding_seeds, seed=seed)
+    embedding = fit_embedding(
+        demos, config=budget.fit, out=out / "embedding", num_seeds=budget.embedding_seeds, seed=seed
+    )
     arms = _arms(task_name, budget, seed)
     histories = {
         label: train(config, out / "train" / folder, [] if config.z == "none" else [embedding])

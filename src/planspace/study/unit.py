@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from planspace.embed.config import FitConfig
 from planspace.rl.config import TrainConfig
+from planspace.seams import plain_settings
 from planspace.storage.json_files import json_hash
 from planspace.tasks.problem_file import load_problem
 
@@ -117,6 +118,8 @@ def _plain(value: Any) -> Any:
     """Dataclasses as plain data, presets resolved."""
     if isinstance(value, TrainConfig):
         value = value.learning()  # the preset's settings themselves, which may change under its name
+    if isinstance(value, FitConfig):
+        return plain_settings(value)
     if is_dataclass(value):
         problem = {"problem_hash": _problem_hash(value.problem)} if isinstance(value, PlansUnit) else {}
         return {**{f.name: _plain(getattr(value, f.name)) for f in fields(value)}, **problem}
