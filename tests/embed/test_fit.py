@@ -279,11 +279,11 @@ def test_numbers_out_of_range_are_named() -> None:
         ({"z_dim": 0}, "z_dim"),
         ({"spacings": (1, -3)}, "spacings"),
         ({"learning_rate": 0.0}, "learning_rate"),
-        ({"prior": -1.0}, "weights of the objective"),
-        ({"linearity": float("nan")}, "weights of the objective"),
+        ({"prior": -1.0}, "prior"),
+        ({"linearity": float("nan")}, "linearity"),
         ({"sigma_floor": -0.1}, "sigma_floor"),
     ):
-        with pytest.raises(UsageError, match=f"{name}.* "):
+        with pytest.raises(UsageError, match=f"`{name}` must be .*, got "):
             PRESETS["modern"].with_settings(**changes)
 
 

@@ -1,6 +1,5 @@
 """Train an embedding from demonstrations: several seeds at once, of which the best is selected and saved."""
 
-import inspect
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -34,7 +33,7 @@ from planspace.embed.geometry import (
     tabulate,
 )
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
-from planspace.embed.objective import FunctionObjective, Objective, as_objective
+from planspace.embed.objective import Objective, as_objective, summary_of, title_of
 from planspace.embed.principal import principal_turn
 from planspace.embed.samples import Samples, make_samples
 from planspace.embed.steps import check_loss
@@ -42,7 +41,7 @@ from planspace.embed.support import Support
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress_shown
-from planspace.seams import name_of, plain_settings
+from planspace.seams import plain_settings
 from planspace.storage.files import write_bytes
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
@@ -167,7 +166,11 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
         "preset": config.preset,
         "seed": seeds[chosen],
         "settings": settings,
-        "objective": _describe(config.objective, closed_form=prepared.solution is not None),
+        "objective": {
+            "name": title_of(config.objective),
+            "summary": summary_of(config.objective),
+            "closed_form": prepared.solution is not None,
+        },
         "problem": demos.info.problem,
         "split": {name: part.tolist() for name, part in split.items()},
         **_measurements(embeddings[chosen], used, split),
@@ -178,13 +181,6 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
     write_bytes(out / CARD, model_card(embedding).encode())
     embedding.save(out)
     return embedding
-
-
-def _describe(objective: Objective, *, closed_form: bool) -> dict[str, Any]:
-    """The objective in words, for the model card."""
-    written = objective.function if isinstance(objective, FunctionObjective) else type(objective)
-    first_line, *_ = (inspect.getdoc(written) or "").splitlines() or [""]
-    return {"name": name_of(objective), "summary": first_line, "closed_form": closed_form}
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from planspace.embed.triplet_source import Triplets, TripletSource
 from planspace.errors import UsageError, quoted
-from planspace.seams import check_fits
+from planspace.seams import check_fits, name_of
 
 if TYPE_CHECKING:
     from jax import Array
@@ -122,6 +122,17 @@ def as_objective(given: Any) -> Objective:
             f"an Objective must be hashable, got {quoted(objective)}: make it a frozen dataclass. See {PAGE}."
         ) from error
     return objective
+
+
+def title_of(objective: Objective) -> str:
+    """The name of an objective; for a function, where it is defined."""
+    return name_of(objective.function if isinstance(objective, FunctionObjective) else objective)
+
+
+def summary_of(objective: Objective) -> str:
+    """The first line of an objective's docstring."""
+    written = objective.function if isinstance(objective, FunctionObjective) else type(objective)
+    return (inspect.getdoc(written) or "").partition("\n")[0]
 
 
 def check_weights(**weights: float) -> None:

@@ -1,5 +1,7 @@
 """The samples that training draws: triplets of states, as inputs of the encoder."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import jax.random as jr
@@ -9,10 +11,9 @@ from jaxtyping import Array, Float, Int, Key
 from planspace.demos.dataset import Demos
 from planspace.embed.config import FitConfig
 from planspace.embed.embedding import Inputs
-from planspace.embed.objective import Objective
-from planspace.embed.triplet_source import TripletSource
-from planspace.errors import PlanspaceError
-from planspace.seams import name_of
+from planspace.embed.objective import PAGE, Objective, title_of
+from planspace.embed.triplet_source import Triplets, TripletSource
+from planspace.errors import PlanspaceError, UsageError, quoted
 
 WIDER = 1.5
 """States off the demonstrations have a range this many times as wide."""
@@ -90,7 +91,7 @@ def make_samples(
     """
     objective, rng = config.objective, np.random.default_rng(np.random.SeedSequence([seed, 1]))
     source = TripletSource(demos, train, config.spacings, config.short_fraction, rng)
-    triplets, times = objective.draw_triplets(source)
+    triplets, times = _checked(objective.draw_triplets(source), len(demos.states))
     mean_duration = np.mean(demos.times[demos.offsets[1:] - 1][train])
     t_a, t_t, t_b = times.T
     circles = inputs.circular_columns if inputs.form == "trig" else ()
@@ -107,12 +108,28 @@ def make_samples(
     )
 
 
+def _checked(drawn: Any, num_states: int) -> Triplets:
+    """Check the triplets that an objective drew."""
+    wanted = "the method `draw_triplets` of an Objective must return"
+    if not isinstance(drawn, Triplets):
+        raise UsageError(f"{wanted} Triplets, got {quoted(drawn)}. See {PAGE}.")
+    rows, times = np.asarray(drawn.rows), np.asarray(drawn.times)
+    if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or times.shape != rows.shape:
+        raise UsageError(
+            f"{wanted} rows and times of shape (number, 3), got shapes {rows.shape} and {times.shape}. "
+            f"See {PAGE}."
+        )
+    if rows.dtype.kind not in "iu" or rows.min() < 0 or rows.max() >= num_states:
+        raise UsageError(f"{wanted} integer rows from 0 to {num_states - 1}, got {quoted(rows)}. See {PAGE}.")
+    return Triplets(rows, times)
+
+
 def _controls_of_states(demos: Demos, train: np.ndarray, objective: Objective) -> np.ndarray:
     if not objective.needs_controls():
         return np.zeros((len(demos.states), 0))
     if demos.info.num_controls == 0:
         raise PlanspaceError(
-            f"the objective {name_of(objective)} needs controls, but the demonstrations have none; choose "
+            f"the objective {title_of(objective)} needs controls, but the demonstrations have none; choose "
             "another objective."
         )
     controls = np.zeros((len(demos.states), demos.info.num_controls))

@@ -6,9 +6,8 @@ import equinox as eqx
 import jax
 
 from planspace.embed.networks import PlanSpaceModel
-from planspace.embed.objective import PAGE, Objective, split_loss
+from planspace.embed.objective import PAGE, Objective, split_loss, title_of
 from planspace.errors import PlanspaceError, UsageError
-from planspace.seams import name_of
 
 
 def uses_decoder(objective: Objective, model: Any, sample: Any, key: Any) -> bool:
@@ -38,7 +37,7 @@ def uses_decoder(objective: Objective, model: Any, sample: Any, key: Any) -> boo
         raise
     except Exception as error:  # whatever the user's code raises
         raise UsageError(
-            f"the loss of the Objective {name_of(objective)} failed on its first sample: "
+            f"the loss of the Objective {title_of(objective)} failed on its first sample: "
             f"{type(error).__name__}: {str(error).partition(chr(10))[0]} See {PAGE}."
         ) from error
     needed = _variables(jaxpr.outvars)
