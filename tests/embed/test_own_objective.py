@@ -92,10 +92,6 @@ class OneDraw(Contrast):
             "directt",
             r"unknown objective 'directt'\. Did you mean 'direct'\?.* To write an Objective",
         ),
-        (
-            SimpleNamespace(),
-            "An Objective needs the methods closed_form, draw_triplets, loss, needs_controls;",
-        ),
         (Contrast, "expected an Objective, got the class Contrast: pass an instance"),
         (Mutable(), "an Objective must be hashable, got .*: make it a frozen dataclass"),
         (no_key, r"called as loss\(model, sample, key=key\); .* got an unexpected keyword argument 'key'"),
