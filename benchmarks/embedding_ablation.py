@@ -26,7 +26,7 @@ from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
 from planspace.rl.config import TrainConfig
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.seams import plain_settings
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import json_hash, read_json, write_json
@@ -118,12 +118,9 @@ def with_mirror_images(demos: Demos) -> Demos:
 
 def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
     """Of policies `first`, `first` + 1, .., the mean return of each one's last iterations."""
-    config = TrainConfig(
-        "cartpole-swingup", obs="trig", z="augment", num_seeds=count, seed=first, steps=STEPS
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        history = train(config, Path(folder) / "run", [embedding])
-    return history["return"][-LAST:].mean(axis=0).tolist()
+    config = TrainConfig(obs="trig", z="augment", num_seeds=count, seed=first, steps=STEPS)
+    trained = train_policies("cartpole-swingup", config, embedding=embedding)
+    return trained.history["return"][-LAST:].mean(axis=0).tolist()
 
 
 def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:

@@ -10,9 +10,7 @@ results/rl/beside/ as it is done, and not run again; draws results/rl/beside-sb3
 """
 
 import json
-import tempfile
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -20,9 +18,11 @@ import numpy as np
 
 from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
-from planspace.rl.config import BATCH_STEPS, PRESETS, Algo, LearnerConfig, TrainConfig
+from planspace.rl.algorithm import Algorithm
+from planspace.rl.algorithms import PRESETS
+from planspace.rl.config import BATCH_STEPS, TrainConfig, with_settings
 from planspace.rl.learning_curve import learning_curve
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.storage.files import write_bytes
 from planspace.storage.json_files import read_json
 from planspace.tasks.catalog import TASKS
@@ -30,14 +30,13 @@ from planspace.tasks.catalog import TASKS
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 TASK, OBS = TASKS["cartpole-swingup"], "trig"
 NUM_SEEDS, STEPS = 10, 200_000
-ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
-SHARED: dict[Algo, LearnerConfig] = {
-    "trpo": replace(PRESETS["trpo", "paper"], critic="mlp", bootstrap_timeout=True),
-    "ppo": replace(PRESETS["ppo", "modern"], normalise_obs=False),
+SHARED: dict[str, Algorithm] = {
+    "trpo": with_settings(PRESETS["trpo", "paper"], critic="mlp", bootstrap_timeout=True),
+    "ppo": with_settings(PRESETS["ppo", "modern"], normalise_obs=False),
 }
 
 
-def library(algo: Algo, seed: int) -> None:
+def library(algo: str, seed: int) -> None:
     """One seed of theirs: mean return of the episodes of each iteration."""
     path = RESULTS / "beside" / f"{algo}-{seed}.json"
     if path.exists():
@@ -79,15 +78,14 @@ def library(algo: Algo, seed: int) -> None:
 def main() -> None:
     (RESULTS / "beside").mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(2, get_context("spawn")) as workers:
-        units = [(algo, seed) for algo in ALGOS for seed in range(NUM_SEEDS)]
+        units = [(algo, seed) for algo in SHARED for seed in range(NUM_SEEDS)]
         list(workers.map(library, *zip(*units, strict=True)))
     curves = {}
-    for algo in ALGOS:
+    for algo in SHARED:
         theirs = [read_json(RESULTS / "beside" / f"{algo}-{i}.json")["returns"] for i in range(NUM_SEEDS)]
         name = "sb3-contrib" if algo == "trpo" else "Stable-Baselines3"
-        config = TrainConfig(TASK.name, algo, OBS, num_seeds=NUM_SEEDS, steps=STEPS, learner=SHARED[algo])
-        with tempfile.TemporaryDirectory() as folder:
-            ours = train(config, Path(folder) / algo)["return"]
+        config = TrainConfig(SHARED[algo], OBS, num_seeds=NUM_SEEDS, steps=STEPS)
+        ours = train_policies(TASK, config).history["return"]
         for label, returns in ((f"{algo.upper()}, planspace", ours), (f"{algo.upper()}, {name}", theirs)):
             table = np.array(returns) if returns is ours else np.array(returns).T
             steps = BATCH_STEPS * np.arange(1, len(table) + 1)

@@ -8,11 +8,14 @@ results/rl/modern/TASK-VARIANT.json as it is done, and not run again. An hour on
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 
-from planspace.rl.config import Algo, LearnerConfig, PPOConfig, TrainConfig, TRPOConfig
-from planspace.rl.train import train
+from planspace.rl.algorithm import Algorithm
+from planspace.rl.algorithms.on_policy import OnPolicy
+from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.trpo import TRPO
+from planspace.rl.config import TrainConfig, with_settings
+from planspace.rl.training import train_policies
 from planspace.storage.files import write_bytes
 from planspace.storage.json_files import read_json
 
@@ -23,23 +26,28 @@ TASKS = {
     "cartpole": ("raw", 200_000),
     "reacher-trig": ("raw", 400_000),
 }
-BASE = LearnerConfig(critic="mlp", normalise_obs=True, bootstrap_timeout=True)
-STEPS = PPOConfig(minibatch=500, of_steps=True, tolerance=0.0, clip_norm=0.5)
-PPO = replace(BASE, gae_lambda=0.95, ppo=STEPS)
-FINER = replace(STEPS, minibatch=125, learning_rate=5e-4)
-VARIANTS: dict[str, tuple[Algo, LearnerConfig]] = {
-    "ppo-base": ("ppo", PPO),
-    "ppo-lr5e-4": ("ppo", replace(PPO, ppo=replace(STEPS, learning_rate=5e-4))),
-    "ppo-mb250": ("ppo", replace(PPO, ppo=replace(STEPS, minibatch=250))),
-    "ppo-mb125-lr5e-4": ("ppo", replace(PPO, ppo=FINER)),
-    "ppo-mb125-lr5e-4-lam98": ("ppo", replace(PPO, gae_lambda=0.98, ppo=FINER)),
-    "ppo-nonorm": ("ppo", replace(PPO, normalise_obs=False)),
-    "ppo-noboot": ("ppo", replace(PPO, bootstrap_timeout=False)),
-    "ppo-lam98": ("ppo", replace(PPO, gae_lambda=0.98)),
-    "trpo-base": ("trpo", BASE),
-    "trpo-linear-noboot": ("trpo", replace(BASE, critic="linear", bootstrap_timeout=False)),
-    "trpo-kl02": ("trpo", replace(BASE, trpo=TRPOConfig(max_kl=0.02))),
-    "trpo-kl02-lam95": ("trpo", replace(BASE, gae_lambda=0.95, trpo=TRPOConfig(max_kl=0.02))),
+BASE = TRPO(OnPolicy(critic="mlp", normalise_obs=True, bootstrap_timeout=True))
+STEPS = PPO(
+    OnPolicy(gae_lambda=0.95, critic="mlp", normalise_obs=True, bootstrap_timeout=True),
+    minibatch=500,
+    of_steps=True,
+    tolerance=0.0,
+    clip_norm=0.5,
+)
+FINER = with_settings(STEPS, minibatch=125, learning_rate=5e-4)
+VARIANTS: dict[str, Algorithm] = {
+    "ppo-base": STEPS,
+    "ppo-lr5e-4": with_settings(STEPS, learning_rate=5e-4),
+    "ppo-mb250": with_settings(STEPS, minibatch=250),
+    "ppo-mb125-lr5e-4": FINER,
+    "ppo-mb125-lr5e-4-lam98": with_settings(FINER, gae_lambda=0.98),
+    "ppo-nonorm": with_settings(STEPS, normalise_obs=False),
+    "ppo-noboot": with_settings(STEPS, bootstrap_timeout=False),
+    "ppo-lam98": with_settings(STEPS, gae_lambda=0.98),
+    "trpo-base": BASE,
+    "trpo-linear-noboot": with_settings(BASE, critic="linear", bootstrap_timeout=False),
+    "trpo-kl02": with_settings(BASE, max_kl=0.02),
+    "trpo-kl02-lam95": with_settings(BASE, gae_lambda=0.95, max_kl=0.02),
 }
 
 
@@ -50,12 +58,12 @@ def main() -> None:
     RESULTS.mkdir(parents=True, exist_ok=True)
     print("command: python benchmarks/rl_modern.py; mean of the last 10 iterations (worst, best); of all")
     for task, (obs, steps) in TASKS.items():
-        for name, (algo, learner) in VARIANTS.items():
+        for name, algorithm in VARIANTS.items():
             path = RESULTS / f"{task}-{name}.json"
             if not path.exists():
                 seeds = {"num_seeds": NUM_SEEDS, "seed": FIRST_SEED}
-                config = TrainConfig(task, algo, obs, steps=steps, preset="modern", learner=learner, **seeds)
-                returns = train(config, options.out / path.stem)["return"]
+                config = TrainConfig(algorithm, obs, steps=steps, **seeds)
+                returns = train_policies(task, config, out=options.out / path.stem).history["return"]
                 last = returns[-10:].mean(axis=0)
                 row = {"mean": last.mean(), "worst": last.min(), "best": last.max(), "area": returns.mean()}
                 rounded = {key: round(float(value), 1) for key, value in row.items()}

@@ -22,13 +22,14 @@ from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import Failure
 from planspace.plan.regulator import Regulator
 from planspace.progress import progress
+from planspace.rl.config import BATCH_STEPS
 from planspace.rl.saved_policy import Policy, load_policy
-from planspace.rl.train import EVALUATION_SEED, num_episodes
+from planspace.rl.training import EVALUATION_SEED, num_episodes
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
 
 TASK = find_task("cartpole-swingup")
-STARTS, TARGETS = TASK.sample_starts(num_episodes(TASK), np.random.default_rng(EVALUATION_SEED))
+STARTS, TARGETS = TASK.sample_starts(num_episodes(TASK, BATCH_STEPS), np.random.default_rng(EVALUATION_SEED))
 
 
 def planned() -> np.ndarray:

@@ -17,7 +17,6 @@ import argparse
 import multiprocessing
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -31,15 +30,17 @@ import numpy as np
 
 from planspace.envs.batch import TaskBatch
 from planspace.physics.simulator import Simulator
-from planspace.rl import train as module
-from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
+from planspace.rl import agent, training
+from planspace.rl import arm as arm_module
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.tasks.catalog import TASKS
 from planspace.workers import count_cores
 
 TASK = TASKS["cartpole-swingup"]
 ITERATIONS = 25
 """As many as lie between two evaluations, of which one is therefore counted."""
-ARMS: list[tuple[Algo, RLPreset]] = [("trpo", "paper"), ("ppo", "paper"), ("ppo", "modern")]
+ARMS: list[tuple[str, str]] = [("trpo", "paper"), ("ppo", "paper"), ("ppo", "modern")]
 SEEDS = (1, 5, 15, 30, 60)
 LIBRARY_STEPS = 20_000
 LIBRARY_ENVS = (1, 20)
@@ -59,20 +60,19 @@ def timed(function: Callable, spent: Counter, name: str) -> Callable:
     return wrapper
 
 
-def training(config: TrainConfig) -> tuple[float, Counter]:
+def timed_training(config: TrainConfig) -> tuple[float, Counter]:
     """Steps a second of all seeds together, and the seconds spent in each part."""
     spent: Counter = Counter()
-    parts = [(module, "collect"), (module, "learn"), (module, "values")]
-    with tempfile.TemporaryDirectory() as folder:
-        patches = [mock.patch.object(o, name, timed(getattr(o, name), spent, name)) for o, name in parts]
-        patches.append(mock.patch.object(Simulator, "step", timed(Simulator.step, spent, "physics")))
-        for patch in patches:
-            patch.start()
-        began = time.perf_counter()
-        module.train(config, Path(folder) / "run")
-        wall = time.perf_counter() - began
-        for patch in patches:
-            patch.stop()
+    parts = [(arm_module, "collect"), (training, "collect"), (agent, "update")]
+    patches = [mock.patch.object(o, name, timed(getattr(o, name), spent, name)) for o, name in parts]
+    patches.append(mock.patch.object(Simulator, "step", timed(Simulator.step, spent, "physics")))
+    for patch in patches:
+        patch.start()
+    began = time.perf_counter()
+    training.train_policies(TASK, config)
+    wall = time.perf_counter() - began
+    for patch in patches:
+        patch.stop()
     spent["wall"] = wall
     return config.num_seeds * config.steps / wall, spent
 
@@ -82,16 +82,16 @@ class Replay:
 
     def __init__(self, config: TrainConfig):
         taken: list[Any] = []
-        collect = module.collect
+        collect = arm_module.collect
 
         def keep(*args: Any, **kwargs: Any) -> Any:
             taken.append(collect(*args, **kwargs))
             return taken[-1]
 
-        with tempfile.TemporaryDirectory() as folder, mock.patch.object(module, "collect", keep):
-            module.train(replace(config, steps=10 * BATCH_STEPS), Path(folder) / "run")
+        with mock.patch.object(arm_module, "collect", keep):
+            training.train_policies(TASK, replace(config, steps=10 * BATCH_STEPS))
         num = config.num_seeds * BATCH_STEPS // TASK.horizon
-        last = taken[-2]  # the last is an evaluation
+        last = taken[-1]
         self.starts = last.obs[0, ..., : len(TASK.start_low)].reshape(num, -1).astype(float)
         self.controls = last.actions.reshape(TASK.horizon, num, -1).astype(float)
         self.batch = TaskBatch(TASK, num)
@@ -106,7 +106,7 @@ class Replay:
         return ITERATIONS * self.controls.shape[0] * self.controls.shape[1] / (time.perf_counter() - began)
 
 
-def library_process(num_envs: int, algo: Algo, preset: RLPreset, seed: int, start: Any, results: Any) -> None:
+def library_process(num_envs: int, algo: str, preset: str, seed: int, start: Any, results: Any) -> None:
     import gymnasium
     import torch
     from sb3_contrib import TRPO
@@ -133,7 +133,7 @@ def library_process(num_envs: int, algo: Algo, preset: RLPreset, seed: int, star
     results.put(LIBRARY_STEPS / (time.perf_counter() - began))
 
 
-def library(num_envs: int, algo: Algo, preset: RLPreset) -> float:
+def library(num_envs: int, algo: str, preset: str) -> float:
     context = multiprocessing.get_context("spawn")
     results, start = context.Queue(), context.Barrier(2)
     workers = [
@@ -155,10 +155,10 @@ def compare(num_seeds: int, repeats: int) -> None:
     for algo, preset in ARMS:
         config = arm(algo, preset, num_seeds)
         replay = Replay(config)
-        training(config)
+        timed_training(config)
         turns = []
         for i in range(repeats):
-            rate = training(replace(config, seed=100 * i))[0]
+            rate = timed_training(replace(config, seed=100 * i))[0]
             libraries = [rate / library(n, algo, preset) for n in LIBRARY_ENVS]
             turns.append((rate, rate / replay.rate(), *libraries))
         columns = zip(*turns, strict=True)
@@ -178,11 +178,11 @@ def growth() -> None:
     for algo, preset in (ARMS[0], ARMS[-1]):
         for num_seeds in SEEDS:
             config = arm(algo, preset, num_seeds)
-            training(replace(config, steps=BATCH_STEPS))
-            rate, spent = training(config)
+            timed_training(replace(config, steps=BATCH_STEPS))
+            rate, spent = timed_training(config)
             wall, acting = spent["wall"], spent["collect"]
             learning = wall - acting
-            busy = min((spent["learn"] + spent["values"]) / min(count_cores(), num_seeds), learning)
+            busy = min(spent["update"] / min(count_cores(), num_seeds), learning)
             shares = spent["physics"] / wall, (acting - spent["physics"]) / wall, busy / wall
             row = "".join(f"{share:>10.0%}" for share in (*shares, 1 - sum(shares)))
             print(f"{algo + ', ' + preset:<16}{num_seeds:>6}{rate:>12,.0f}{row}", flush=True)
@@ -192,7 +192,7 @@ def memory() -> None:
     for algo, preset in ARMS:
         code = (
             "import benchmarks.train_throughput as b, resource; "
-            f"b.training(b.replace(b.arm({algo!r}, {preset!r}, 60), steps=5 * b.BATCH_STEPS)); "
+            f"b.timed_training(b.replace(b.arm({algo!r}, {preset!r}, 60), steps=5 * b.BATCH_STEPS)); "
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
         )
         root = Path(__file__).parent.parent
@@ -202,8 +202,8 @@ def memory() -> None:
         print(f"{algo}, {preset}: 60 seeds, most memory {float(done.stdout):,.0f} MiB", flush=True)
 
 
-def arm(algo: Algo, preset: RLPreset, num_seeds: int) -> TrainConfig:
-    return TrainConfig(TASK.name, algo, preset=preset, num_seeds=num_seeds, steps=ITERATIONS * BATCH_STEPS)
+def arm(algo: str, preset: str, num_seeds: int) -> TrainConfig:
+    return TrainConfig(find_algorithm(algo, preset), num_seeds=num_seeds, steps=ITERATIONS * BATCH_STEPS)
 
 
 def main() -> None:

@@ -13,12 +13,12 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 PLANS = PlansUnit("cartpole-swingup", 12, (("polish_max_iterations", 10), ("restarts", 1)))
 FIT = FitUnit(PLANS, replace(PRESETS["modern"], steps=60, batch=32), num_seeds=2)
-BASE = TrainConfig("cartpole", steps=8000, num_seeds=1)
+BASE = TrainConfig(steps=8000, num_seeds=1)
 
 
 def policy(seed: int, z: bool = False) -> PolicyUnit:
     config = replace(BASE, seed=seed, z="augment" if z else "none")
-    return PolicyUnit(config, (FIT,) if z else ())
+    return PolicyUnit("cartpole", config, (FIT,) if z else ())
 
 
 RAW = Arm("balance", "raw", (policy(0), policy(1)))

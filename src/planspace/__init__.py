@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from planspace.plan.demonstrations import plan_demos as plan_demos
     from planspace.rl.saved_policy import Policy as Policy
     from planspace.rl.saved_policy import load_policy as load_policy
+    from planspace.rl.trained import TrainedPolicies as TrainedPolicies
+    from planspace.rl.training import train_policies as train_policies
     from planspace.tasks.problem import Problem as Problem
     from planspace.tasks.problem_file import load_problem as load_problem
     from planspace.tasks.task import Task as Task
@@ -36,6 +38,7 @@ _MODULE_OF = {
     "Policy": "planspace.rl.saved_policy",
     "Problem": "planspace.tasks.problem",
     "Task": "planspace.tasks.task",
+    "TrainedPolicies": "planspace.rl.trained",
     "UsageError": "planspace.errors",
     "load_demos": "planspace.demos.load",
     "load_embedding": "planspace.embed.embedding",
@@ -43,6 +46,7 @@ _MODULE_OF = {
     "load_problem": "planspace.tasks.problem_file",
     "make_env": "planspace.envs.make",
     "plan_demos": "planspace.plan.demonstrations",
+    "train_policies": "planspace.rl.training",
     "wrap": "planspace.envs.make",
 }
 

@@ -27,7 +27,7 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
 
 PLANS = PlansUnit("cartpole-swingup", 3, (("polish_max_iterations", 10), ("restarts", 1)))
 FIT = FitUnit(PLANS, replace(PRESETS["modern"], steps=60, batch=32, hidden=(16, 16)), num_seeds=1)
-POLICY = PolicyUnit(TrainConfig("cartpole", steps=8000, num_seeds=2, z="augment"), (FIT,))
+POLICY = PolicyUnit("cartpole", TrainConfig(steps=8000, num_seeds=2, z="augment"), (FIT,))
 GOLDEN = Study("golden", "smoke", "Can it be read?", (Arm("balance", "raw + z", (POLICY,)),))
 STATES = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
 OBS = np.linspace(-1.0, 1.0, 21).reshape(3, 7)

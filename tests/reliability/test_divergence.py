@@ -18,8 +18,10 @@ from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
-from planspace.rl import train as training
-from planspace.rl.config import BATCH_STEPS, Algo, TrainConfig
+from planspace.rl import arm as arm_module
+from planspace.rl import training
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import Rollout
 from planspace.storage.arrays import read_arrays
 from planspace.tasks.catalog import find_task
@@ -99,7 +101,7 @@ def wild_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("wild_tasks")
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])
-def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_on_it_stays_finite(algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     collect = training.collect
 
     def collect_finite(*arguments: Any, **options: Any) -> Rollout:
@@ -108,10 +110,10 @@ def test_training_on_it_stays_finite(algo: Algo, tmp_path: Path, monkeypatch: py
             assert np.isfinite(array).all()
         return rollout
 
-    monkeypatch.setattr(training, "BATCH_STEPS", 1000)
-    monkeypatch.setattr(training, "collect", collect_finite)
-    config = TrainConfig("cartpole-swingup", algo, num_seeds=2, steps=2 * BATCH_STEPS)
-    history = training.train(config, tmp_path)
+    for module in (training, arm_module):
+        monkeypatch.setattr(module, "collect", collect_finite)
+    config = TrainConfig(find_algorithm(algo), num_seeds=2, steps=2000, batch_steps=1000)
+    history = training.train_policies("cartpole-swingup", config, out=tmp_path).history
     assert np.isfinite(history["return"]).all() and not history["frozen"].any()
     assert (history["length"] < find_task("cartpole-swingup").horizon).all()  # each episode ran away
     for file in ("policies.safetensors", "checkpoint/state.safetensors"):  # so was every gradient

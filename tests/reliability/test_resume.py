@@ -14,7 +14,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -29,8 +28,10 @@ from planspace.embed.fit import fit_embedding
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.plan import demonstrations
 from planspace.plan.demonstrations import plan_into
-from planspace.rl import train as rl_training
-from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig, ZMode
+from planspace.rl import training as rl_training
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import TrainConfig, ZMode
+from planspace.rl.training import train_policies
 from planspace.storage.arrays import read_arrays
 from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.tasks.problem_file import load_problem
@@ -126,7 +127,7 @@ def assert_exact(run: Run, module: ModuleType, tmp_path: Path) -> Iterator[str]:
             yield item
 
 
-ARMS: list[tuple[Algo, RLPreset, ZMode]] = [
+ARMS: list[tuple[str, str, ZMode]] = [
     ("trpo", "paper", "none"),
     ("trpo", "modern", "augment"),
     ("ppo", "paper", "augment"),
@@ -134,31 +135,35 @@ ARMS: list[tuple[Algo, RLPreset, ZMode]] = [
 ]
 
 
+SHORT = TrainConfig(num_seeds=2, steps=3000, batch_steps=1000)
+
+
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A checkpoint after every iteration, and small ones."""
-    monkeypatch.setattr(rl_training, "BATCH_STEPS", 1000)
+    """A checkpoint after every iteration."""
     monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
 
 
 @pytest.mark.parametrize(("algo", "preset", "z"), ARMS)
 @pytest.mark.usefixtures("often")
-def test_policies(algo: Algo, preset: RLPreset, z: ZMode, embedding: Embedding, tmp_path: Path) -> None:
-    steps = 3 * BATCH_STEPS
-    config = TrainConfig("cartpole", algo, preset=preset, z=z, num_seeds=2, steps=steps, eval_every=1)
-    given = [embedding] if z != "none" else []
-    tested = set(assert_exact(lambda out: rl_training.train(config, out, given), rl_training, tmp_path))
-    expected = {".learners.policy.mean.weights", ".learners.policy.mean.biases", ".learners.policy.log_std"}
+def test_policies(algo: str, preset: str, z: ZMode, embedding: Embedding, tmp_path: Path) -> None:
+    config = replace(SHORT, algorithm=find_algorithm(algo, preset), z=z, eval_every=1)
+    given = embedding if z != "none" else None
+    run = lambda out: train_policies("cartpole", config, embedding=given, out=out)  # noqa: E731
+    tested = set(assert_exact(run, rl_training, tmp_path))
+    expected = {".agents.policy.mean.weights", ".agents.policy.mean.biases", ".agents.policy.log_std"}
     expected |= {f".history['{key}']" for key in ("return", "length", "kl", "entropy", "loss", "eval_return")}
-    if config.learns.critic == "linear":
-        expected |= {".learners.critic.weights"}
+    if (algo, preset) == ("trpo", "paper"):
+        expected |= {".agents.critic.weights"}
     else:
         network = ("network.weights", "network.biases", "mean", "deviation")
-        expected |= {f".learners.critic.{name}" for name in network}
+        expected |= {f".agents.critic.{name}" for name in network}
     if algo == "ppo":
-        expected |= {f".learners.adam.{m}.mean.weights" for m in ("mu", "nu")} | {".learners.adam.count"}
+        expected |= {f".agents.optimiser.{m}.mean.weights" for m in ("mu", "nu")} | {
+            ".agents.optimiser.count"
+        }
     if preset == "modern":
-        expected |= {f".learners.statistics.{name}" for name in ("num", "mean", "squares")}
+        expected |= {f".agents.statistics.{name}" for name in ("num", "mean", "squares")}
     assert tested >= expected, expected - tested
 
 
@@ -183,15 +188,17 @@ def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     save = rl_training.save_checkpoint
 
     def freeze(folder: Path, tree: Any, about: dict[str, Any]) -> None:
-        save(folder, eqx.tree_at(lambda t: t.learners[1].frozen, tree, np.array(True)), about)
+        save(folder, tree._replace(frozen=np.array([False, True])), about)
         raise KeyboardInterrupt
 
-    config = TrainConfig("cartpole", num_seeds=2, steps=3 * BATCH_STEPS)
     monkeypatch.setattr(rl_training, "save_checkpoint", freeze)
     with pytest.raises(KeyboardInterrupt):
-        rl_training.train(config, tmp_path)
+        train_policies("cartpole", SHORT, out=tmp_path)
     monkeypatch.setattr(rl_training, "save_checkpoint", save)
-    assert rl_training.train(config, tmp_path)["frozen"][1:].tolist() == [[0.0, 1.0], [0.0, 1.0]]
+    assert train_policies("cartpole", SHORT, out=tmp_path).history["frozen"][1:].tolist() == [
+        [0.0, 1.0],
+        [0.0, 1.0],
+    ]
 
 
 # --- what stands beside the arrays -------------------------------------------------------------------
@@ -213,9 +220,8 @@ def assert_number_and_log_are_missed(run: Run, module: ModuleType, number: str, 
 
 @pytest.mark.usefixtures("often")
 def test_the_iteration_of_a_training_is_missed(tmp_path: Path) -> None:
-    config = TrainConfig("cartpole", num_seeds=2, steps=3 * BATCH_STEPS)
     assert_number_and_log_are_missed(
-        lambda out: rl_training.train(config, out), rl_training, "iteration", tmp_path
+        lambda out: train_policies("cartpole", SHORT, out=out), rl_training, "iteration", tmp_path
     )
 
 

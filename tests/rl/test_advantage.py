@@ -22,23 +22,29 @@ def test_gae_by_hand() -> None:
         column(NO, NO, YES),
         column(NO, NO, NO),
         discount=0.5,
-        trace=0.5,
+        gae_lambda=0.5,
     )
     np.testing.assert_allclose(advantage[:, 0], [1.0625, 0.25, -3.0])
 
 
-def test_truncation_bootstraps_and_stops_the_trace() -> None:
+def test_truncation_bootstraps_and_stops_the_carry() -> None:
     # step 0 is truncated with next value 10: delta = 1 + 5 - 2 = 4, and nothing of step 1 leaks into it
     advantage = gae(
-        column(1, 7), column(2, 1), column(10, 0), column(NO, YES), column(YES, NO), discount=0.5, trace=0.9
+        column(1, 7),
+        column(2, 1),
+        column(10, 0),
+        column(NO, YES),
+        column(YES, NO),
+        discount=0.5,
+        gae_lambda=0.9,
     )
     np.testing.assert_allclose(advantage[:, 0], [4.0, 6.0])
 
 
 def test_termination_and_truncation_differ_by_the_bootstrap() -> None:
     args = (column(1.0), column(2.0), column(10.0))
-    ended = gae(*args, column(YES), column(NO), discount=0.9, trace=1.0)
-    cut = gae(*args, column(NO), column(YES), discount=0.9, trace=1.0)
+    ended = gae(*args, column(YES), column(NO), discount=0.9, gae_lambda=1.0)
+    cut = gae(*args, column(NO), column(YES), discount=0.9, gae_lambda=1.0)
     assert cut[0, 0] - ended[0, 0] == pytest.approx(9.0)
 
 
@@ -48,7 +54,7 @@ def test_lambda_one_is_return_minus_value(rng: np.random.Generator) -> None:
     next_value = np.vstack([value[1:], rng.normal(size=(1, 3))])
     terminated, truncated = rng.random(shape) < 0.15, np.zeros(shape, bool)
     truncated[-1] = True
-    advantage = gae(reward, value, next_value, terminated, truncated, discount=0.97, trace=1.0)
+    advantage = gae(reward, value, next_value, terminated, truncated, discount=0.97, gae_lambda=1.0)
     returns = discounted_returns(reward, next_value, terminated, truncated, discount=0.97)
     np.testing.assert_allclose(advantage, returns - value)
 

@@ -10,13 +10,14 @@ from planspace.cli.repair import repair
 from planspace.errors import PlanspaceError
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
 LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "no returns": (lambda a: a.pop("return"), "KeyError: 'return'"),
-    "no losses": (lambda a: a.pop("loss"), "KeyError: 'loss'"),
+    "no lengths": (lambda a: a.pop("length"), "KeyError: 'length'"),
+    "losses of another shape": (lambda a: a.update(loss=a["loss"][:1].copy()), r"loss has shape \(1, 2\)"),
     "no steps": (lambda a: a.pop("steps"), "KeyError: 'steps'"),
     "no axis of seeds": (lambda a: a.update({"return": a["return"][:, 0].copy()}), "not enough values"),
     "one number": (lambda a: a.update(eval_steps=np.array(1)), "unsized"),
@@ -71,8 +72,8 @@ def test_what_need_not_be_finite_is_drawn_all_the_same(run: Path, tmp_path: Path
 
 
 def test_a_finished_training_has_the_history_of_its_own_settings(tmp_path: Path) -> None:
-    config = TrainConfig("cartpole", num_seeds=1, steps=1)
-    train(config, tmp_path)
+    config = TrainConfig(num_seeds=1, steps=1)
+    train_policies("cartpole", config, out=tmp_path)
     shutil.copy(GOLDEN / "history.safetensors", tmp_path)  # of two seeds and two iterations
     with pytest.raises(PlanspaceError, match=r"history.safetensors was altered .*has shape \(2,"):
-        train(config, tmp_path)
+        train_policies("cartpole", config, out=tmp_path)

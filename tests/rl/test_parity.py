@@ -9,8 +9,10 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from planspace.rl import ppo, trpo
-from planspace.rl.config import PPOConfig, TRPOConfig
+from planspace.rl import ppo_update as ppo
+from planspace.rl import trpo_update as trpo
+from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.policy import GaussianPolicy
 
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
@@ -86,7 +88,7 @@ def test_one_minibatch_of_ppo_is_sb3s(batch: tuple) -> None:
     policy = GaussianPolicy(NUM_OBS, 1, key=jr.key(3))
     settings = {"learning_rate": 1e-3, "n_epochs": 1, "vf_coef": 0.0, "ent_coef": 0.0, "max_grad_norm": 0.5}
     agent = theirs(sb3.PPO, batch, policy, clip_range=0.2, **settings)
-    config = PPOConfig(epochs=1, minibatch=NUM, of_steps=True, tolerance=0.0, clip_norm=0.5)
+    config = PPO(epochs=1, minibatch=NUM, of_steps=True, tolerance=0.0, clip_norm=0.5)
     obs, actions, advantages = map(jnp.asarray, batch)
     samples = ppo.Batch(obs, actions, advantages, policy.log_prob(obs, actions))
     ours, _, info = ppo.update(policy, ppo.optimiser(config).init(policy), samples, config, key=jr.key(0))
@@ -102,7 +104,7 @@ def test_one_update_of_trpo_is_sb3_contribs(batch: tuple) -> None:
     line_search = {"line_search_shrinking_factor": 0.8, "line_search_max_iter": 15, "sub_sampling_factor": 1}
     agent = theirs(sb3_contrib.TRPO, batch, policy, **settings, **line_search)
     obs, actions, advantages = map(jnp.asarray, batch)
-    ours, info = eqx.filter_jit(trpo.update)(policy, obs, actions, advantages, TRPOConfig(cg_damping=0.1))
+    ours, info = eqx.filter_jit(trpo.update)(policy, obs, actions, advantages, TRPO(cg_damping=0.1))
     assert not info.skipped
     step = our_parameters(ours) - our_parameters(policy)
     difference = our_parameters(ours) - parameters(agent)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from planspace.rl import ppo
-from planspace.rl.config import PPOConfig
+from planspace.rl import ppo_update as ppo
+from planspace.rl.algorithms.ppo import PPO
 from planspace.rl.policy import GaussianPolicy
 
-CONFIG = PPOConfig(minibatch=50, of_steps=True, tolerance=0.0)
+CONFIG = PPO(minibatch=50, of_steps=True, tolerance=0.0)
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def batch(policy: GaussianPolicy) -> ppo.Batch:
     return ppo.Batch(obs, actions, actions[:, 0] * obs[:, 0], policy.log_prob(obs, actions))
 
 
-def run(policy: GaussianPolicy, batch: ppo.Batch, config: PPOConfig, seed: int = 0):
+def run(policy: GaussianPolicy, batch: ppo.Batch, config: PPO, seed: int = 0):
     adam = ppo.optimiser(config).init(eqx.filter(policy, eqx.is_array))
     return ppo.update(policy, adam, batch, config, key=jr.key(seed))
 
@@ -57,7 +57,7 @@ def test_every_sample_is_seen_once_an_epoch(
     numbered = eqx.tree_at(lambda b: b.obs, batch, jnp.arange(120.0)[:, None] * jnp.ones(3))
     counting = eqx.tree_at(lambda p: p.log_std, policy, jnp.zeros(120))
 
-    def count(policy: GaussianPolicy, adam: tuple, batch: ppo.Batch, config: PPOConfig) -> tuple:
+    def count(policy: GaussianPolicy, adam: tuple, batch: ppo.Batch, config: PPO) -> tuple:
         seen = policy.log_std.at[batch.obs[:, 0].astype(int)].add(1.0)
         return eqx.tree_at(lambda p: p.log_std, policy, seen), adam
 
@@ -95,16 +95,3 @@ def test_numbers_that_are_not_finite_leave_all_as_it_was(
     assert info.skipped
     assert eqx.tree_equal(new, policy)
     assert eqx.tree_equal(adam, ppo.optimiser(CONFIG).init(eqx.filter(policy, eqx.is_array)))
-
-
-def test_layer_norm_is_the_same_in_numpy(rng: np.random.Generator) -> None:
-    from planspace.rl.mlp import MLP, stacked
-
-    plain, normed = (
-        [MLP((3, 16, 16, 2), layer_norm=n, key=key) for key in jr.split(jr.key(0), 2)] for n in (False, True)
-    )
-    x = rng.normal(size=(2, 5, 3)).astype(np.float32)
-    for networks in (plain, normed):
-        wanted = [jax.vmap(network)(rows) for network, rows in zip(networks, x, strict=True)]
-        np.testing.assert_allclose(stacked(networks)(x), wanted, atol=1e-5)
-    assert np.abs(stacked(plain)(x) - stacked(normed)(x)).max() > 0.01

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 from planspace.envs.batch import TaskBatch
-from planspace.rl import train as module
-from planspace.rl.config import BATCH_STEPS, Algo, RLPreset, TrainConfig
+from planspace.rl import training
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.arm import Arm
+from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
+from planspace.rl.policy_network import Actor
+from planspace.rl.training import num_episodes
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task, never
 
-ARMS: list[tuple[Algo, RLPreset]] = [
+ARMS: list[tuple[str, str]] = [
     ("trpo", "paper"),
     ("trpo", "modern"),
     ("ppo", "paper"),
@@ -32,11 +36,6 @@ STEPS = 1000
 """An iteration's, for each seed."""
 
 
-@pytest.fixture(autouse=True)
-def small_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BATCH_STEPS", STEPS)
-
-
 def probe(reward, horizon: int = 1) -> Task:
     """A task with another reward (before, after, control) and horizon, that ends after each step."""
     return replace(
@@ -50,43 +49,41 @@ def probe(reward, horizon: int = 1) -> Task:
 
 
 class Trained:
-    """What came out of some iterations of an arm."""
+    """The result of some iterations of training."""
 
-    def __init__(self, task: Task, algo: Algo, preset: RLPreset, iterations: int = 20):
-        config = TrainConfig("probe", algo, num_seeds=2, preset=preset, steps=iterations * BATCH_STEPS)
+    def __init__(self, task: Task, algo: str, preset: str, iterations: int = 20):
+        algorithm = find_algorithm(algo, preset)
+        config = TrainConfig(algorithm, num_seeds=2, steps=iterations * STEPS, batch_steps=STEPS)
         observer = Observer(task, "raw", "none", "both")
-        batch = TaskBatch(task, 2 * (STEPS // task.horizon))
-        self.normalised = config.learns.normalise_obs
+        arm = Arm(config, observer, TaskBatch(task, 2 * num_episodes(task, STEPS)))
         with ThreadPoolExecutor(2) as threads:
-            arm = module._Arm(config, observer, batch, threads)
-            self.state = module._init(arm)
+            run = training._Training(arm, threads)
+            state = training._init(run)
             for i in range(iterations):
-                self.state = module._iterate(arm, self.state, i)
-            self.actor = module._actor(arm, self.state)
+                state = training._iterate(run, state, i)
+            self.agents, self.networks = state.agents, training._networks(run, state)
 
     def value(self, obs: np.ndarray, step: int = 0) -> np.ndarray:
         """Of one observation, for each seed."""
         row = obs[None].astype(np.float32)
-        return np.concatenate(
-            [
-                x.critic.values(x.statistics(row) if self.normalised else row, np.array([step]))
-                for x in self.state.learners
-            ]
-        )
+        rows = [row if n.statistics is None else n.statistics(row) for n in self.networks]
+        values = [a.critic.values(x, np.array([step])) for a, x in zip(self.agents, rows, strict=True)]
+        return np.concatenate(values)
 
     def action(self, obs: np.ndarray) -> np.ndarray:
         """The mean action, for each seed."""
-        return self.actor.mean(np.broadcast_to(obs.astype(np.float32), (2, 1, 4)))[:, 0, 0]
+        both = np.broadcast_to(obs.astype(np.float32), (2, 1, 4))
+        return Actor(self.networks)(both, np.zeros((2, 1, 1)))[:, 0, 0]
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_the_value_of_one_step_is_its_reward(algo: Algo, preset: RLPreset) -> None:
+def test_the_value_of_one_step_is_its_reward(algo: str, preset: str) -> None:
     trained = Trained(probe(lambda before, after, control: np.full(len(before), 0.7)), algo, preset, 10)
     np.testing.assert_allclose(trained.value(np.array([0.5, -0.5, 0, 0])), 0.7, atol=0.02)
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_what_comes_a_step_later_is_discounted(algo: Algo, preset: RLPreset) -> None:
+def test_what_comes_a_step_later_is_discounted(algo: str, preset: str) -> None:
     # the cart rolls at 5 m/s whatever is done, past 0.1 m in the first step and 0.3 m in the second
     task = replace(
         probe(lambda before, after, control: (before[:, 0] > 0.1).astype(float), horizon=2),
@@ -101,14 +98,14 @@ def test_what_comes_a_step_later_is_discounted(algo: Algo, preset: RLPreset) -> 
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_the_better_action_is_found(algo: Algo, preset: RLPreset) -> None:
+def test_the_better_action_is_found(algo: str, preset: str) -> None:
     task = probe(lambda before, after, control: -((control[:, 0] - 1.0) ** 2))
     trained = Trained(task, algo, preset, ENOUGH[algo])
     np.testing.assert_allclose(trained.action(np.zeros(4)), 1.0, atol=0.2)
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_the_better_action_depends_on_what_is_seen(algo: Algo, preset: RLPreset) -> None:
+def test_the_better_action_depends_on_what_is_seen(algo: str, preset: str) -> None:
     task = probe(lambda before, after, control: -((control[:, 0] - np.sign(before[:, 0])) ** 2))
     trained = Trained(task, algo, preset, ENOUGH[algo])
     assert (trained.action(np.array([0.7, 0.0, 0.0, 0.0])) > 0.6).all()
@@ -116,7 +113,7 @@ def test_the_better_action_depends_on_what_is_seen(algo: Algo, preset: RLPreset)
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_beyond_the_time_limit_lies_what_the_preset_says(algo: Algo, preset: RLPreset) -> None:
+def test_beyond_the_time_limit_lies_what_the_preset_says(algo: str, preset: str) -> None:
     """A reward of 1 for ever, seen ten steps at a time: worth 1 / (1 - gamma) = 100 if one knows it."""
     task = replace(probe(lambda before, after, control: np.ones(len(before)), horizon=10), terminated=never)
     value = Trained(task, algo, preset, 12).value(np.zeros(4), 0)

@@ -10,16 +10,18 @@ from planspace import load_policy
 from planspace.cli import main
 from planspace.embed.embedding import Embedding
 from planspace.errors import PlanspaceError, UsageError
-from planspace.rl import train as module
+from planspace.rl import training
+from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.play import make_env, play
-from planspace.rl.rollout import Actor
+from planspace.rl.policy_network import Actor
+from planspace.rl.training import train_policies
 from planspace.storage.arrays import read_arrays, write_arrays
 from planspace.storage.json_files import read_sealed, write_sealed
 
 ARMS = {
     "plain": {},
-    "seen": {"obs": "trig", "z": "augment", "preset": "modern", "algo": "ppo"},
+    "seen": {"obs": "trig", "z": "augment", "algorithm": find_algorithm("ppo", "modern")},
     "critic alone": {"z": "augment", "z_to": "critic"},
     "z alone": {"z": "replace"},
     "z alone to the policy": {"z": "replace", "z_to": "policy"},
@@ -28,33 +30,27 @@ ARMS = {
 
 @pytest.fixture(params=ARMS)
 def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) -> tuple[Path, list]:
-    """A short run, and the state it ended with."""
-    config = TrainConfig(
-        "cartpole-swingup", num_seeds=2, seed=4, steps=2 * BATCH_STEPS, **ARMS[request.param]
-    )
-    states, iterate = [], module._iterate
+    """A short run, and the networks it ended with."""
+    config = TrainConfig(num_seeds=2, seed=4, steps=2 * BATCH_STEPS, **ARMS[request.param])
+    kept, networks = [], training._networks
 
     def spy(*args):
-        states.append(iterate(*args))
-        return states[-1]
+        kept.append(networks(*args))
+        return kept[-1]
 
-    module._iterate = spy
-    try:
-        module.train(config, tmp_path / "run", [embedding] if config.z != "none" else [])
-    finally:
-        module._iterate = iterate
-    return tmp_path / "run", states
+    given = embedding if config.z != "none" else None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "_networks", spy)
+        train_policies("cartpole-swingup", config, embedding=given, out=tmp_path / "run")
+    return tmp_path / "run", kept[-1]
 
 
 def test_it_acts_as_it_did_in_training(run: tuple[Path, list], rng: np.random.Generator) -> None:
-    folder, states = run
+    folder, networks = run
     policies = [load_policy(folder, seed) for seed in (4, 5)]
     about = policies[0].about
     obs = rng.normal(size=(2, 7, about["num_obs"])).astype(np.float32)
-    learners = states[-1].learners
-    statistics = policies[0].statistics and [x.statistics for x in learners]
-    actor = Actor([x.policy for x in learners], policies[0].columns, statistics)
-    wanted = np.clip(actor.mean(obs), -3, 3)
+    wanted = np.clip(Actor(networks, policies[0].columns)(obs, np.zeros((2, 7, 1))), -3, 3)
     for i, policy in enumerate(policies):
         np.testing.assert_allclose(policy(obs[i]), wanted[i], atol=1e-5)
         np.testing.assert_allclose(policy(obs[i, 0]), wanted[i, 0], atol=1e-5)
@@ -80,7 +76,7 @@ def test_the_command_plays_and_films(
     embedding: Embedding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    module.train(TrainConfig("cartpole", num_seeds=2, steps=1), folder)
+    train_policies("cartpole", TrainConfig(num_seeds=2, steps=1), out=folder)
     assert main(["play", str(folder), "--seed", "1", "--episodes", "2"]) == 0
     said = capsys.readouterr().out
     assert "seed 1, 2 episodes of planspace/CartPole-v0" in said and "return: mean" in said
@@ -92,7 +88,7 @@ def test_the_command_plays_and_films(
 
 
 def test_loading_needs_neither_jax_nor_mujoco(tmp_path: Path) -> None:
-    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path / "run")
+    train_policies("cartpole", TrainConfig(num_seeds=1, steps=1), out=tmp_path / "run")
     code = "import sys, numpy, planspace; p = planspace.load_policy(sys.argv[1]); p(numpy.zeros(4)); "
     code += "print([m for m in ('jax', 'equinox', 'mujoco') if m in sys.modules])"
     done = subprocess.run(
@@ -102,7 +98,7 @@ def test_loading_needs_neither_jax_nor_mujoco(tmp_path: Path) -> None:
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path / "run")
+    train_policies("cartpole", TrainConfig(num_seeds=1, steps=1), out=tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     with pytest.raises(PlanspaceError, match="trained on observations of 4 numbers .*got 6"):
         policy(np.zeros(6, np.float32))
@@ -115,7 +111,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 
 
 def test_actions_without_limits_are_saved_and_played(tmp_path: Path) -> None:
-    module.train(TrainConfig("cartpole-swingup", num_seeds=1, steps=1, reward="2020"), tmp_path)
+    train_policies("cartpole-swingup", TrainConfig(num_seeds=1, steps=1, reward="2020"), out=tmp_path)
     policy = load_policy(tmp_path)
     assert (policy.low, policy.high) == (-np.inf, np.inf)
     returns, demos = play(policy, 1, seed=0)
@@ -123,7 +119,7 @@ def test_actions_without_limits_are_saved_and_played(tmp_path: Path) -> None:
 
 
 def test_an_action_that_is_not_finite_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    module.train(TrainConfig("cartpole", num_seeds=1, steps=1), tmp_path)
+    train_policies("cartpole", TrainConfig(num_seeds=1, steps=1), out=tmp_path)
     policy = load_policy(tmp_path)
     for obs in (np.full(4, np.nan), np.full(4, 1e300)):
         with pytest.raises(PlanspaceError, match="an action of seed 0 is not finite"):

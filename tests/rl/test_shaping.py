@@ -10,51 +10,53 @@ from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.envs.wrappers import PlanSpaceShaping
 from planspace.errors import UsageError
+from planspace.rl.algorithms import ALGORITHMS
 from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.rollout import ShapeFn
 from planspace.rl.shaping import Shaping
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.tasks.catalog import TASKS
 
-CONFIG = TrainConfig(
-    "cartpole-swingup", obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS
-)
+TASK, GAMMA = TASKS["cartpole-swingup"], 0.99
+CONFIG = TrainConfig(obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS)
 ALONE = replace(CONFIG, num_seeds=1)
 RUNNING = np.zeros(1, dtype=bool)
 
 
-def shaping_of(config: TrainConfig, *embeddings: Embedding) -> Shaping:
-    found = Shaping.of(config, embeddings)
+def shaping_of(
+    config: TrainConfig, *embeddings: Embedding, discount: float = GAMMA, bootstrap_timeout: bool = False
+) -> ShapeFn:
+    found = Shaping.of(config, TASK, embeddings)
     assert found is not None
-    return found
+    return found.reward_fn(discount, bootstrap_timeout)
 
 
 def test_the_way_from_a_mean_start_to_the_goal_is_worth_the_scale(embedding: Embedding) -> None:
     starts, _ = TASKS["cartpole-swingup"].sample_starts(1000, np.random.default_rng(0))
     goal = np.zeros((1000, 4))
     for form in ("z", "raw"):
-        config = replace(CONFIG, shaping=form, num_seeds=1).learning(discount=1.0)
-        paid = shaping_of(config, embedding)(starts, goal, *np.zeros((2, 1000), dtype=bool))
+        config = replace(CONFIG, shaping=form, num_seeds=1)
+        paid = shaping_of(config, embedding, discount=1.0)(starts, goal, *np.zeros((2, 1000), dtype=bool))
         assert paid.mean() == pytest.approx(7.0)
 
 
 def test_what_an_episode_is_paid_telescopes(embedding: Embedding, rng: np.random.Generator) -> None:
     shape = shaping_of(ALONE, embedding)
-    gamma = CONFIG.learns.discount
     states = rng.normal(size=(11, 1, 4))
     paid = [shape(a, b, RUNNING, RUNNING)[0] for a, b in itertools.pairwise(states)]
-    summed = sum(gamma**t * x for t, x in enumerate(paid))
-    # gamma^10 Phi(x_10) - Phi(x_0), whatever lies between: from and to the goal, whose potential is 0
+    summed = sum(GAMMA**t * x for t, x in enumerate(paid))
+    # GAMMA^10 Phi(x_10) - Phi(x_0), whatever lies between: from and to the goal, whose potential is 0
     goal = np.zeros((1, 4))
     last, first = (
-        shape(goal, states[-1], RUNNING, RUNNING)[0] / gamma,
-        shape(goal, states[0], RUNNING, RUNNING)[0] / gamma,
+        shape(goal, states[-1], RUNNING, RUNNING)[0] / GAMMA,
+        shape(goal, states[0], RUNNING, RUNNING)[0] / GAMMA,
     )
-    assert summed == pytest.approx(gamma**10 * last - first)
+    assert summed == pytest.approx(GAMMA**10 * last - first)
     ended = shape(states[0], states[1], ~RUNNING, RUNNING)[0]
     assert ended == pytest.approx(-first)  # an episode that terminates ends at potential 0
     limit = shape(states[0], states[1], RUNNING, ~RUNNING)[0]
     assert limit == ended  # where nothing counts beyond the time limit
-    modern = shaping_of(replace(ALONE, preset="modern"), embedding)
+    modern = shaping_of(ALONE, embedding, bootstrap_timeout=True)
     assert modern(states[0], states[1], RUNNING, ~RUNNING)[0] == pytest.approx(paid[0])
 
 
@@ -73,7 +75,7 @@ def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: P
         embedding_folder,
         goal=[0.0] * 4,
         scale=7.0 / typical,
-        discount=CONFIG.learns.discount,
+        discount=GAMMA,
     )
     _, info = env.reset(seed=0)
     before = info["state"]
@@ -100,19 +102,19 @@ def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
 
 
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])
-def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embedding, tmp_path: Path) -> None:
-    config = replace(CONFIG, algo=algo)
-    shaped = train(config, tmp_path / "shaped", [embedding])
-    plain = train(replace(config, shaping="none"), tmp_path / "plain")
+def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embedding) -> None:
+    config = replace(CONFIG, algorithm=ALGORITHMS[algo])
+    shaped = train_policies(TASK, config, embedding=embedding).history
+    plain = train_policies(TASK, replace(config, shaping="none")).history
     np.testing.assert_array_equal(shaped["return"][0], plain["return"][0])  # the same first policy
     assert (shaped["return"][1] != plain["return"][1]).all()
-    again = train(config, tmp_path / "again", [embedding])
+    again = train_policies(TASK, config, embedding=embedding).history
     np.testing.assert_array_equal(again["return"], shaped["return"])
 
 
-def test_a_sparse_reward_is_one_at_the_goal(tmp_path: Path) -> None:
+def test_a_sparse_reward_is_one_at_the_goal() -> None:
     config = replace(CONFIG, shaping="none", reward="sparse")
-    returns = train(config, tmp_path / "run")["return"]
+    returns = train_policies(TASK, config).history["return"]
     assert (returns >= 0).all() and (returns * 20 == np.round(returns * 20)).all()  # steps, over 20 episodes
     batch = TaskBatch(TASKS["cartpole-swingup"], 1, reward="sparse")
     batch.reset(np.zeros((1, 4)), np.zeros((1, 0)))
@@ -121,16 +123,15 @@ def test_a_sparse_reward_is_one_at_the_goal(tmp_path: Path) -> None:
 
 def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="shaping by 'z' needs an embedding"):
-        train(CONFIG, tmp_path / "a")
-    reacher = replace(CONFIG, task="reacher-raw", obs="raw", shaping="raw")
+        train_policies(TASK, CONFIG, out=tmp_path / "a")
     with pytest.raises(
         UsageError, match="shaping needs one goal; reacher-raw has another target in every episode"
     ):
-        train(reacher, tmp_path / "b")
+        train_policies("reacher-raw", replace(CONFIG, obs="raw", shaping="raw"), out=tmp_path / "b")
     with pytest.raises(UsageError, match="or --shaping z"):
-        train(replace(CONFIG, shaping="none"), tmp_path / "c", [embedding])
-    with pytest.raises(UsageError, match=r"the scale of the shaping is above 0, got 0\.0"):
+        train_policies(TASK, replace(CONFIG, shaping="none"), embedding=embedding, out=tmp_path / "c")
+    with pytest.raises(UsageError, match=r"shaping_scale must be above 0, got 0\.0"):
         replace(CONFIG, shaping_scale=0.0)
     with pytest.raises(UsageError, match="unknown reward type of cartpole '2020'"):
-        train(TrainConfig("cartpole", reward="2020"), tmp_path / "d")
+        train_policies("cartpole", TrainConfig(reward="2020"), out=tmp_path / "d")
     assert not any((tmp_path / name).exists() for name in "abcd")

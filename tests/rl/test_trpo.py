@@ -9,12 +9,12 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from planspace.embed.gaussian import kl
-from planspace.rl.config import TRPOConfig
+from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.policy import GaussianPolicy
-from planspace.rl.rollout import Actor
-from planspace.rl.trpo import conjugate_gradient, fisher_product, update
+from planspace.rl.policy_network import Actor
+from planspace.rl.trpo_update import conjugate_gradient, fisher_product, update
 
-CONFIG = TRPOConfig()
+CONFIG = TRPO()
 
 
 @pytest.fixture
@@ -95,6 +95,8 @@ def test_no_advantage_is_no_step(policy: GaussianPolicy, batch: tuple) -> None:
 def test_the_actor_is_the_policy(rng: np.random.Generator) -> None:
     policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(2)]
     obs = rng.normal(size=(2, 5, 3)).astype(np.float32)
-    means = Actor(policies, slice(None)).mean(obs)
+    actor, noise = Actor([p.network() for p in policies]), rng.normal(size=(2, 5, 2))
+    means, actions = actor(obs, np.zeros((2, 5, 2))), actor(obs, noise)
     for s, policy in enumerate(policies):
         np.testing.assert_allclose(means[s], jax.vmap(lambda o, p=policy: p(o).mu)(obs[s]), atol=1e-5)
+        np.testing.assert_allclose(actions[s] - means[s], noise[s] * np.exp(policy.log_std), atol=1e-5)

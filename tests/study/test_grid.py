@@ -4,6 +4,7 @@ import pytest
 
 from planspace.embed.config import PRESETS
 from planspace.errors import UsageError
+from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
 from planspace.study.grid import BUDGETS, STUDIES, make_study
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
@@ -11,14 +12,14 @@ from planspace.tasks.problem_file import load_problem
 
 PLANS = PlansUnit("cartpole-swingup", 20)
 FIT = FitUnit(PLANS, PRESETS["modern"])
-POLICY = PolicyUnit(TrainConfig("cartpole-swingup", z="augment"), (FIT,))
+POLICY = PolicyUnit("cartpole-swingup", TrainConfig(z="augment"), (FIT,))
 
 
 def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
     assert replace(POLICY).name == POLICY.name
     others = [
         replace(POLICY, config=replace(POLICY.config, seed=5)),
-        replace(POLICY, config=POLICY.config.learning(discount=0.9)),
+        replace(POLICY, config=POLICY.config.with_hyperparameters(discount=0.9)),
         replace(POLICY, fits=(replace(FIT, seed=1),)),
         replace(POLICY, fits=(replace(FIT, plans=replace(PLANS, num=21)),)),
         replace(POLICY, fits=(replace(FIT, plans=replace(PLANS, settings=(("restarts", 1),))),)),
@@ -26,11 +27,10 @@ def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
     assert len({unit.name for unit in (POLICY, *others)}) == 1 + len(others)
 
 
-def test_presets_and_problems_count_by_what_they_say() -> None:
-    named = PolicyUnit(TrainConfig("cartpole", preset="modern"))
-    spelled = PolicyUnit(TrainConfig("cartpole", preset="modern").learning())
-    assert named.name == spelled.name
-    assert named.spec["config"]["learner"]["critic"] == "mlp"
+def test_presets_and_problems_count_by_their_content() -> None:
+    unit = PolicyUnit("cartpole", TrainConfig(find_algorithm("ppo", "modern")))
+    assert unit.spec["config"]["algorithm"]["name"] == "ppo"
+    assert unit.spec["config"]["algorithm"]["on_policy"]["critic"] == "mlp"
     assert FIT.spec["config"]["objective"]["linearity"] == PRESETS["modern"].objective.linearity
     assert FIT.spec["plans"]["problem_hash"] == load_problem("cartpole-swingup").hash
 

@@ -1,6 +1,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -61,8 +62,13 @@ def test_goes_through_every_stage_and_does_no_finished_work_twice(
     # an interrupt in the last arm costs that arm's last steps, nothing else
     (out / "train" / "trig-z" / "history.safetensors").unlink()
     trained = []
-    train = module.train
-    monkeypatch.setattr(module, "train", lambda c, p, e: trained.append(p.name) or train(c, p, e))
+    train = module.train_policies
+
+    def spy(*args: Any, out: Path, **options: Any) -> Any:
+        trained.append(out.name)
+        return train(*args, out=out, **options)
+
+    monkeypatch.setattr(module, "train_policies", spy)
     assert run("cartpole-swingup", "smoke", out, 0) == summary
     assert trained == ["raw", "trig", "trig-z"]
 

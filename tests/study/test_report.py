@@ -22,11 +22,15 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 EVIL = "<script>alert('evil')</script>"
 PLANS = PlansUnit("cartpole-swingup", 20)
 FITS = tuple(FitUnit(PLANS, replace(PRESETS["paper"], z_dim=z), num_seeds=2) for z in (2, 3))
-BASE = TrainConfig("cartpole-swingup", steps=400_000, num_seeds=5)
+BASE = TrainConfig(steps=400_000, num_seeds=5)
 
 
 def arm(label: str, config: TrainConfig = BASE, fits: tuple[FitUnit, ...] = ()) -> Arm:
-    return Arm(f"swing-up {EVIL}", label, tuple(PolicyUnit(replace(config, seed=s), fits) for s in (0, 5)))
+    return Arm(
+        f"swing-up {EVIL}",
+        label,
+        tuple(PolicyUnit("cartpole-swingup", replace(config, seed=s), fits) for s in (0, 5)),
+    )
 
 
 ARMS = (

@@ -223,7 +223,7 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
 
 def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
     arms = [
-        Arm(f"{task}, TRPO", label, (PolicyUnit(replace(BASE, task=unit_task)),))
+        Arm(f"{task}, TRPO", label, (PolicyUnit(unit_task, BASE),))
         for task, unit_task in (("cartpole", "cartpole"), ("reacher-trig", "reacher-raw"))  # a shared unit
         for label in ("raw", "z only")
     ]

@@ -179,7 +179,7 @@ def test_the_best_two_seeds_are_the_best_case() -> None:
 
 
 def test_blocks_merge_in_the_order_of_their_seeds() -> None:
-    arm = Arm("panel", "arm", (PolicyUnit(TrainConfig("cartpole")),))
+    arm = Arm("panel", "arm", (PolicyUnit("cartpole", TrainConfig()),))
 
     def block(seeds: list[int], steps: tuple[int, ...] = (4000,)) -> PoliciesResult:
         returns = tuple([float(seed) for seed in seeds] for _ in steps)

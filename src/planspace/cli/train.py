@@ -3,12 +3,13 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from planspace.errors import PartialResult, UsageError
-from planspace.rl.config import Algo, CriticName, RLPreset, ShapingType, ZMode, ZTarget
+from planspace.rl.algorithms.on_policy import CriticName
+from planspace.rl.config import ShapingType, ZMode, ZTarget
 from planspace.storage.tracking import TrackerName
 from planspace.tasks.observation_types import ObservationType, RewardType
 
@@ -23,9 +24,9 @@ class Train:
     """The run's folder. The same command continues an interrupted run."""
     task: Positional[Annotated[str, arg(metavar="TASK")]] = ""
     """A task's name; without it the names are listed."""
-    algo: Algo = "trpo"
+    algo: Literal["trpo", "ppo"] = "trpo"
     """The algorithm."""
-    preset: RLPreset = "paper"
+    preset: Literal["paper", "modern"] = "paper"
     """paper: what the paper and the runs of 2020 did. modern: observations standardised as they come, what
     lies beyond the time limit counted; PPO by minibatches of steps."""
     obs: ObservationType = "raw"
@@ -71,32 +72,33 @@ class Train:
         from planspace.embed.embedding import load_embedding
         from planspace.figures.learning_curves import plot_curves
         from planspace.figures.style import save_figure
-        from planspace.rl.config import TrainConfig
+        from planspace.rl.algorithms import find_algorithm
+        from planspace.rl.config import TrainConfig, with_settings
         from planspace.rl.history import frozen_seeds
         from planspace.rl.learning_curve import learning_curve
-        from planspace.rl.train import num_episodes, train
+        from planspace.rl.training import num_episodes, train_policies
         from planspace.storage.compiled import use_compilation_cache
         from planspace.tasks.catalog import TASKS, find_task
 
         if not self.task:
             raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
         given = {f.name: getattr(self, f.name) for f in fields(TrainConfig) if hasattr(self, f.name)}
-        config = TrainConfig(**given, num_seeds=self.seeds)
         chosen = {
             "critic": self.critic,
             "hidden": self.hidden,
             "match_z": self.match_z or None,
             "layer_norm": self.layer_norm or None,
         }
-        if changes := {name: value for name, value in chosen.items() if value is not None}:
-            config = config.learning(**changes)
+        changes = {name: value for name, value in chosen.items() if value is not None}
+        algorithm = with_settings(find_algorithm(self.algo, self.preset), **changes)
+        config = TrainConfig(algorithm, **given, num_seeds=self.seeds)
         task = find_task(self.task)
-        rounded = config.iterations * num_episodes(task) * task.horizon
+        rounded = config.iterations * num_episodes(task, config.batch_steps) * task.horizon
         if rounded != self.steps:
             print(f"--steps {self.steps} rounded to {rounded}, whole iterations", file=sys.stderr)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
-        history = train(config, self.out, embeddings, self.track)
+        history = train_policies(task, config, embedding=embeddings, out=self.out, track=self.track).history
         for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
             last = returns[-1]
             spread = f"worst {last.min():8.1f}   best {last.max():8.1f}"

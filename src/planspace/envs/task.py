@@ -70,7 +70,7 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
             UsageError: an argument is none of these.
         """
         gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
-        self.task = find_task(task)
+        self.task = find_task(task) if isinstance(task, str) else task
         self.obs = find_observation_type(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
         self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_type(reward, self.task))

@@ -12,7 +12,7 @@ def gae(
     truncated: Bool[np.ndarray, "time *env"],
     *,
     discount: float,
-    trace: float,
+    gae_lambda: float,
 ) -> Float[np.ndarray, "time *env"]:
     """The advantages of the actions taken.
 
@@ -23,10 +23,10 @@ def gae(
         terminated: the episode ended there for good: nothing is earned afterwards.
         truncated: the record was cut there: `next_value` stands for what would have been earned.
         discount: gamma.
-        trace: lambda.
+        gae_lambda: lambda.
     """
     delta = reward + discount * np.where(terminated, 0.0, next_value) - value
-    carry = discount * trace * ~(terminated | truncated)
+    carry = discount * gae_lambda * ~(terminated | truncated)
     return _accumulate(delta, carry)
 
 

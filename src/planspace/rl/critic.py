@@ -12,8 +12,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from planspace.rl.config import CriticName
-from planspace.rl.mlp import MLP, stacked
+from planspace.rl.algorithms.on_policy import CriticName
+from planspace.rl.mlp import MLP
+from planspace.rl.stack import stacked
 
 RIDGE = 1e-5
 OBS_BOUND = 10.0

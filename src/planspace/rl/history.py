@@ -11,20 +11,11 @@ from planspace.storage.arrays import Arrays, read_arrays
 from planspace.storage.checks import reject_malformed
 
 HISTORY = "history.safetensors"
-HISTORY_KEYS = (
-    "return",
-    "length",
-    "kl",
-    "entropy",
-    "loss",
-    "improvement",
-    "explained_variance",
-    "skipped",
-    "frozen",
-)
-"""What is recorded for each iteration and seed; see `episode_returns`, `UpdateInfo` and `Learner`."""
+COMMON = ("return", "length", "frozen")
+"""Numbers of each iteration and seed that every run has: mean undiscounted return and length of the episodes,
+and whether the seed is frozen; see `episode_returns`. An algorithm adds its own numbers."""
 EVALUATION = "eval_return"
-"""Mean return of deterministic episodes, apart from training, at each of `TrainConfig.evaluations`."""
+"""Mean return of deterministic episodes at each of `TrainConfig.evaluations`."""
 LARGEST = 1e100
 """No return is larger; beyond it, it would overflow where its square is taken, or where it is drawn."""
 
@@ -78,7 +69,7 @@ def _check(history: Arrays, shape: tuple[int, ...]) -> None:
     iterations, seeds = shape
     evaluations = len(history["eval_steps"])
     wanted = {"steps": (iterations,), "eval_steps": (evaluations,), EVALUATION: (evaluations, seeds)}
-    wanted |= dict.fromkeys(HISTORY_KEYS, shape)
+    wanted |= dict.fromkeys({*COMMON, *history} - wanted.keys(), shape)
     for name, size in wanted.items():
         array, kind = history[name], "i" if name in ("steps", "eval_steps") else "f"
         if array.shape != size or array.dtype.kind != kind or not math.prod(size):

@@ -1,15 +1,12 @@
 """The small tanh network that policies and critics are made of."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-import numpy as np
 from jaxtyping import Array, Float, Key
 
-from planspace.rl.stack import VARIANCE_FLOOR, Stack
+from planspace.rl.stack import VARIANCE_FLOOR
 
 
 class MLP(eqx.Module):
@@ -39,15 +36,3 @@ class MLP(eqx.Module):
                 x = (x - x.mean()) / jnp.sqrt(x.var() + VARIANCE_FLOOR)
             x = jnp.tanh(x)
         return self.weights[-1] @ x + self.biases[-1]
-
-
-def stacked(networks: Sequence[MLP]) -> Stack:
-    """Networks of one shape, one a seed, in NumPy."""
-    return Stack(*stacked_layers(networks), layer_norm=networks[0].layer_norm)
-
-
-def stacked_layers(networks: Sequence[MLP]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Weights [seed, out, in] and biases [seed, out] of each layer."""
-    layers = range(len(networks[0].weights))
-    weights = [np.stack([np.asarray(n.weights[k]) for n in networks]) for k in layers]
-    return weights, [np.stack([np.asarray(n.biases[k]) for n in networks]) for k in layers]

@@ -1,4 +1,4 @@
-"""Policies at play: deterministic episodes in the environment they were trained in, and a film of them."""
+"""Plays trained policies: episodes without exploration in the environment they were trained in."""
 
 import gymnasium
 import numpy as np
@@ -7,38 +7,67 @@ from jaxtyping import Float
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
+from planspace.envs.task import TaskEnv
 from planspace.envs.wrappers import PlanSpaceObservation
+from planspace.errors import UsageError
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
+from planspace.tasks.task import Task
 
 
-def make_env(policy: Policy) -> gymnasium.Env:
-    """The environment a policy was trained in, z included."""
+def make_env(policy: Policy, task: Task | None = None) -> gymnasium.Env:
+    """The environment a policy was trained in, z included.
+
+    Args:
+        policy: the policy.
+        task: its task, if planspace does not ship it.
+
+    Raises:
+        UsageError: the policy belongs to another task, or its task is not shipped and was not given.
+    """
     about = policy.about
-    env_id = find_task(about["task"]).env_id  # not what a file says: Gymnasium imports what an id names
-    env = gymnasium.make(env_id, obs=about["obs"], reward=about.get("reward", "dense"))
+    task = _task_of(policy, task)
+    env = TaskEnv(task, about["obs"], about.get("reward", "dense"))
+    env = gymnasium.wrappers.TimeLimit(env, task.horizon)
     if about["z"] == "none":
         return env
     mode = "replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment"
     return PlanSpaceObservation(env, policy.embedding, mode)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # the policy sees whether its actions are finite
-def play(policy: Policy, num: int, seed: int) -> tuple[Float[np.ndarray, " episode"], Demos]:
-    """Plays episodes, each action the policy's mean.
+def _task_of(policy: Policy, task: Task | None) -> Task:
+    name, known = policy.about["task"], policy.about.get("task_sha256")
+    if task is None and known is None:
+        return find_task(name)
+    if task is None:
+        raise UsageError(f"{policy.run} was trained on {name!r}, a task of your own: pass the task.")
+    if task.name != name:
+        raise UsageError(f"{policy.run} was trained on the task {name!r}, got {task.name!r}.")
+    if known not in (None, task.hash):
+        raise UsageError(f"{policy.run} was trained on another version of the task {name!r}.")
+    return task
+
+
+@np.errstate(over="ignore", invalid="ignore")  # the policy checks that its actions are finite
+def play(
+    policy: Policy, num: int, seed: int, task: Task | None = None
+) -> tuple[Float[np.ndarray, " episode"], Demos]:
+    """Play episodes without exploration.
 
     Args:
         policy: the policy.
-        num: how many episodes.
-        seed: of their starts.
+        num: number of episodes.
+        seed: seed of the first episode's start; the others follow it.
+        task: its task, if planspace does not ship it.
 
     Returns:
-        The return of each, and the episodes themselves.
+        The return of each episode, and the episodes.
 
     Raises:
         PlanspaceError: an action is not finite.
+        UsageError: as `make_env`.
     """
-    env, task = make_env(policy), find_task(policy.about["task"])
+    env, task = make_env(policy, task), _task_of(policy, task)
     model, space = task.compile()
     step = task.frame_skip * model.opt.timestep
     returns, episodes = np.zeros(num), []

@@ -5,10 +5,13 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
 from planspace.rl.mlp import MLP
+from planspace.rl.normalise import ObsStatistics
+from planspace.rl.policy_network import PolicyNetwork
 
 UNIT_ENTROPY = 0.5 * math.log(2 * math.pi * math.e)
 """Of N(0, 1) [nat]; the logarithm of a deviation is added to it."""
@@ -43,6 +46,15 @@ class GaussianPolicy(eqx.Module):
         """Log-density of actions [nat]."""
         rows = obs.reshape(-1, obs.shape[-1]), actions.reshape(-1, actions.shape[-1])
         return jax.vmap(lambda o, a: self(o).log_prob(a))(*rows).reshape(actions.shape[:-1])
+
+    def network(self, statistics: ObsStatistics | None = None) -> PolicyNetwork:
+        """The network of the mean action, as plain arrays.
+
+        Args:
+            statistics: what the whole observation is standardised by, if anything.
+        """
+        weights, biases = (list(map(np.asarray, part)) for part in (self.mean.weights, self.mean.biases))
+        return PolicyNetwork(weights, biases, np.asarray(self.log_std), self.mean.layer_norm, statistics)
 
     def entropy(self) -> Float[Array, ""]:
         """Entropy of the action distribution, the same everywhere [nat]."""

@@ -7,43 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.envs.batch import TaskBatch
-from planspace.rl.mlp import stacked
-from planspace.rl.normalise import ObsStatistics
+from planspace.errors import UsageError
+from planspace.rl.algorithm import HOW_TO
 from planspace.rl.observe import Observer
-from planspace.rl.policy import UNIT_ENTROPY, GaussianPolicy
 
-
-class Actor:
-    """The policies of all seeds as they act."""
-
-    def __init__(
-        self,
-        policies: Sequence[GaussianPolicy],
-        columns: slice,
-        statistics: Sequence[ObsStatistics] | None = None,
-    ):
-        """Copies the weights.
-
-        Args:
-            policies: one a seed.
-            columns: what they read of an observation.
-            statistics: standardises observations, where that is wanted; one a seed.
-        """
-        self._mean, self._columns = stacked([p.mean for p in policies]), columns
-        self._statistics = ObsStatistics.stacked(statistics) if statistics else None
-        self.log_std = np.stack([np.asarray(p.log_std) for p in policies])
-        """Logarithm of the deviation of the actions [seed, action]."""
-
-    @property
-    def entropy(self) -> Float[np.ndarray, " seed"]:
-        """Of each policy's actions, the same everywhere [nat]."""
-        return np.sum(self.log_std + UNIT_ENTROPY, axis=1)
-
-    def mean(self, obs: Float[np.ndarray, "seed env obs"]) -> Float[np.ndarray, "seed env action"]:
-        """The mean action of each policy in each of its environments."""
-        if self._statistics is not None:
-            obs = self._statistics(obs)
-        return self._mean(obs[..., self._columns])
+ActFn = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(observations [seed, env, obs], unit Gaussian noise [seed, env, action]) to actions [seed, env, action]."""
+ShapeFn = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(states before and after a step, terminated, at the time limit) to the shaping reward."""
 
 
 @dataclass(frozen=True)
@@ -74,31 +45,28 @@ class Rollout:
 def collect(
     batch: TaskBatch,
     observer: Observer,
-    actor: Actor,
+    act: ActFn,
     num_steps: int,
-    rngs: list[np.random.Generator],
+    rngs: Sequence[np.random.Generator],
     *,
-    shape: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
-    noise: bool = True,
+    shape: ShapeFn | None = None,
 ) -> Rollout:
-    """Runs every environment for `num_steps`, from fresh episodes; when one ends, the next begins.
+    """Run every environment for `num_steps` from fresh episodes; when an episode ends, the next begins.
 
     Args:
-        batch: seeds x environments, seed by seed.
+        batch: the environments of all seeds, seed by seed.
         observer: what the policy and critic see.
-        actor: one policy a seed.
+        act: the actions of all seeds.
         num_steps: steps of each environment.
-        rngs: one stream a seed; a seed's starts and noise come from its own stream alone.
-        shape: (states before and after, terminated, at the time limit) to what is paid beside the reward.
-        noise: whether actions are drawn, or are the policies' means.
+        rngs: one stream a seed; the starts and noise of a seed come from its own stream only.
+        shape: the shaping reward, if there is any.
     """
     task, num_seeds = batch.task, len(rngs)
     num_envs = len(batch.states) // num_seeds
     size = (num_steps, num_seeds, num_envs)
-    num_actions = actor.log_std.shape[-1]
+    num_actions = len(batch.simulator.control_low)
     starts = [task.sample_starts(num_envs, rng) for rng in rngs]
-    drawn = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
-    drawn *= np.exp(actor.log_std)[:, None, :] if noise else 0.0
+    noise = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
     batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
     obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
     record = Rollout(
@@ -114,7 +82,9 @@ def collect(
     )
     since_start = np.zeros(size[1:], int)
     for t in range(num_steps):
-        actions = actor.mean(obs) + drawn[t]
+        actions = act(obs, noise[t])
+        if np.shape(actions) != noise[t].shape:
+            raise wrong_actions(np.shape(actions), noise[t].shape)
         before = batch.states
         rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
@@ -136,10 +106,19 @@ def collect(
     return record
 
 
-def _restart(batch: TaskBatch, ended: Bool[np.ndarray, "seed env"], rngs: list[np.random.Generator]) -> None:
+def _restart(
+    batch: TaskBatch, ended: Bool[np.ndarray, "seed env"], rngs: Sequence[np.random.Generator]
+) -> None:
     starts = [batch.task.sample_starts(int(n), rng) for n, rng in zip(ended.sum(axis=1), rngs, strict=True)]
     states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
     batch.reset(states, targets, np.flatnonzero(ended).astype(np.int32))
+
+
+def wrong_actions(got: tuple[int, ...], wanted: tuple[int, ...]) -> UsageError:
+    """Builds the error for actions of another shape."""
+    return UsageError(
+        f"Algorithm.collect must act with shape [seed, env, action] = {wanted}, got {got}. See {HOW_TO}."
+    )
 
 
 def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float[np.ndarray, " seed"]]:

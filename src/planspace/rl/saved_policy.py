@@ -1,12 +1,12 @@
-"""Trained policies as one loads them anywhere: NumPy alone; neither JAX nor MuJoCo is imported.
+"""Trained policies, loaded with NumPy only: neither JAX nor MuJoCo is imported.
 
-RUN/policies.safetensors   weights [seed, ...] and what standardises observations
-RUN/policies.json          the arm they were trained on, and what each seed earned; sealed
-RUN/embedding/             what makes z, for an arm that has it; of several, RUN/embedding-0/ and so on
+RUN/policies.safetensors   weights [seed, ...], and statistics that standardise observations
+RUN/policies.json          what they observe, the limits of their actions, the return of each seed; sealed
+RUN/embedding/             the embedding that makes z; if there are several, RUN/embedding-0/ and so on
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -26,43 +26,45 @@ from planspace.tasks.observation_types import OBSERVATION_TYPES, RewardType
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
 MAX_OBS = 100_000
-"""Numbers in an observation; a file that says more is not believed."""
-FORMS = {
+"""A file that says that its policies observe more numbers is rejected."""
+ALLOWED = {
     "obs": OBSERVATION_TYPES,
     "reward": get_args(RewardType),
     "z": get_args(ZMode),
     "z_to": get_args(ZTarget),
 }
-"""What a description may say of how its environment was seen and paid."""
+"""Values that a description may have."""
 
 
 @dataclass(frozen=True)
 class Policy:
-    """One seed's policy."""
+    """The policy of one seed."""
 
     run: Path
-    """The run it comes from."""
+    """The run that trained it."""
     about: dict[str, Any]
-    """`task`, `env_id`, `obs`, `z`, `z_to`, `seeds`, `returns` (of each seed, in the last evaluation),
-    `embeddings` (the folder of each seed's, where there is z) and `versions`."""
+    """`task`, `env_id` (None for a task that planspace does not ship), `obs`, `z`, `z_to`, `seeds`, `returns`
+    (of each seed, in the last evaluation), `embeddings` (the folder of each seed's) and `versions`."""
     seed: int
-    """Which seed."""
+    """Its seed."""
     network: Stack
     """The mean action, for a seed axis of one."""
     std: Float[np.ndarray, " action"]
-    """Deviation of the actions it was trained with."""
+    """Standard deviation of its exploration in training; 0 if it did not explore by noise."""
     columns: slice
-    """What it reads of an observation."""
+    """The part of an observation that it reads."""
     statistics: ObsStatistics | None
-    """What standardises observations."""
+    """Standardises observations."""
     low: Float[np.ndarray, " action"]
-    """The least of each number of an action; -inf where the environment sets no limit."""
+    """Lower limits of an action; -inf where the environment sets none."""
     high: Float[np.ndarray, " action"]
-    """The greatest, likewise."""
+    """Upper limits of an action; inf where the environment sets none."""
+    keeps: object = field(default=None, repr=False)
+    """The temporary folder of a run in memory, which is removed with the last policy that needs it."""
 
     @property
     def embedding(self) -> Path:
-        """The folder of what makes its z."""
+        """The folder of the embedding that makes its z."""
         return self.run / self.about["embeddings"][self.about["seeds"].index(self.seed)]
 
     def __call__(self, obs: Float[np.ndarray, "*batch obs"]) -> Float[np.ndarray, "*batch action"]:
@@ -97,15 +99,26 @@ def save_policies(run: Path, arrays: Arrays, about: dict[str, Any]) -> None:
     write_sealed(run / DESCRIPTION, {"schema": SCHEMA, "kind": "policies", "weights_sha256": sha256, **about})
 
 
+def find_runs(folder: Path) -> dict[str, Path]:
+    """Find the training runs in a folder: the folder itself, or the arms of a `planspace run`.
+
+    Returns:
+        The folder of each run that holds policies, by the name of its arm; empty if there is none.
+    """
+    if (folder / DESCRIPTION).exists():
+        return {folder.name: folder}
+    return {file.parent.name: file.parent for file in sorted(folder.glob(f"train/*/{DESCRIPTION}"))}
+
+
 def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy:
-    """Loads a policy that `planspace train` left in its run.
+    """Load a policy of a training run. Its task is not needed.
 
     Args:
-        run: the run's folder.
-        seed: which one; `best` is the one that earned most in the last evaluation.
+        run: the folder that `planspace train` or `train_policies` wrote.
+        seed: a seed of the run, or `best` for the one with the best return in the last evaluation.
 
     Raises:
-        PlanspaceError: no finished run, altered since it was saved, or written by a newer planspace.
+        PlanspaceError: the run is not finished, was altered, or was written by a newer planspace.
         UsageError: the run has no such seed.
     """
     run = Path(run)
@@ -140,7 +153,7 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
     if "num" in arrays:
         statistics = ObsStatistics(arrays["num"], arrays["mean"], arrays["squares"])
     with np.errstate(over="ignore"):
-        std = np.exp(arrays["log_std"][0])
+        std = np.exp(arrays["log_std"][0]) if "log_std" in arrays else np.zeros(len(about["action_low"]))
         low, high = _limits(about["action_low"], -np.inf), _limits(about["action_high"], np.inf)
     columns = slice(*about["columns"])
     policy = Policy(run, about, seeds[i], network, std, columns, statistics, low, high)
@@ -153,17 +166,20 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
 
 
 def _check_about(file: Path, about: dict[str, Any]) -> None:
-    """Sees that it names nothing but what is ours: Gymnasium would import code for an environment's name."""
+    """Check that it names only what is ours: Gymnasium would import code for an environment's name.
+
+    A task that planspace does not ship has no environment's name; `play` is given the task.
+    """
     task, env_id = about["task"], about["env_id"]
-    if not isinstance(task, str | None) or not isinstance(env_id, str | None):
+    if not isinstance(task, str) or not isinstance(env_id, str | None):
         raise TypeError("its task or its environment is not a name")
-    known = TASKS.get(task) if task else None
-    if known is None or known.env_id != env_id:
+    known = TASKS.get(task)
+    if env_id is not None and (known is None or known.env_id != env_id):
         raise PlanspaceError(
             f"{file} names the environment {quoted(env_id)} for the task {quoted(task)}; planspace has none "
             "such for it. Train the policy anew with `planspace train`, or upgrade planspace."
         )
-    for name, known in FORMS.items():
+    for name, known in ALLOWED.items():
         if about.get(name, "dense" if name == "reward" else None) not in known:
             raise ValueError(f"{name} is {quoted(about.get(name))}")
     if not all(type(number) is int for number in (*about["seeds"], about["num_obs"])):

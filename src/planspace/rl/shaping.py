@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
-from planspace.tasks.catalog import find_task
+from planspace.rl.rollout import ShapeFn
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 
@@ -25,62 +25,69 @@ NUM_STARTS = 1000
 
 @dataclass(frozen=True)
 class Shaping:
-    """What an arm pays beside its task's reward."""
+    """The potential of an arm, from which its shaping reward follows."""
 
     task: Task
     distances: tuple[Callable[[np.ndarray], np.ndarray], ...]
     """States to their distance from the goal: one for all seeds, or one for each."""
     num_seeds: int
-    """Whose environments follow one another; what a seed is paid does not depend on the others."""
+    """Seeds, whose environments follow one another; the reward of a seed does not depend on the others."""
     scale: float
-    discount: float
-    beyond_timeout: bool
-    """Whether what lies beyond the time limit counts to the learner."""
+    """Return from a mean start to the goal."""
 
     @classmethod
-    def of(cls, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
+    def of(cls, config: TrainConfig, task: Task, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
         """The shaping of an arm, if it has any.
 
         Args:
-            config: the arm.
+            config: the settings.
+            task: the task.
             embeddings: what makes z: one for all seeds, or one for each.
 
         Raises:
-            UsageError: the task has no goal that stands, or there is no embedding where z is asked for.
+            UsageError: the task has no fixed goal, or shaping by z has no embedding.
         """
         if config.shaping == "none":
             return None
-        task = find_task(config.task)
         goal = _goal(task)
         _, space = task.compile()
         if config.shaping == "raw":
 
-            def apart(states: np.ndarray) -> np.ndarray:
+            def distance(states: np.ndarray) -> np.ndarray:
                 return norm(space.difference(states, goal))
 
-            distances = (apart,)
+            distances = (distance,)
         elif embeddings:
             distances = tuple(_distance_in_z(embedding, space.names, goal) for embedding in embeddings)
         else:
             raise UsageError("shaping by 'z' needs an embedding: give --embedding DIR.")
-        learns = config.learns
-        worth = config.shaping_scale, learns.discount, learns.bootstrap_timeout
-        return cls(task, distances, config.num_seeds, *worth)
+        return cls(task, distances, config.num_seeds, config.shaping_scale)
 
-    def __call__(
-        self,
-        before: Float[np.ndarray, "env state"],
-        after: Float[np.ndarray, "env state"],
-        terminated: Bool[np.ndarray, " env"],
-        timeout: Bool[np.ndarray, " env"],
-    ) -> Float[np.ndarray, " env"]:
-        """What a step of every environment is paid, the environments of a seed one after another.
+    def reward_fn(self, discount: float, bootstrap_timeout: bool) -> ShapeFn:
+        """The shaping reward of a step for an algorithm.
 
-        An episode that terminates ends at potential 0; one that reaches the time limit too, where nothing
-        counts beyond it, and else keeps that of its last state.
+        An episode that terminates ends at potential 0. One that reaches the time limit ends at potential 0
+        if the algorithm counts nothing beyond it, and otherwise at the potential of its last state.
+
+        Args:
+            discount: the algorithm's discount factor.
+            bootstrap_timeout: whether it counts the value of the state at the time limit.
+
+        Returns:
+            (states before and after [env, state], terminated [env], at the time limit [env]) to the reward
+            [env], the environments of a seed one after another.
         """
-        ended = terminated if self.beyond_timeout else terminated | timeout
-        return np.where(ended, 0.0, self.discount * self._potential(after)) - self._potential(before)
+
+        def reward(
+            before: Float[np.ndarray, "env state"],
+            after: Float[np.ndarray, "env state"],
+            terminated: Bool[np.ndarray, " env"],
+            timeout: Bool[np.ndarray, " env"],
+        ) -> Float[np.ndarray, " env"]:
+            ended = terminated if bootstrap_timeout else terminated | timeout
+            return np.where(ended, 0.0, discount * self._potential(after)) - self._potential(before)
+
+        return reward
 
     def _potential(self, states: Float[np.ndarray, "env state"]) -> Float[np.ndarray, " env"]:
         by_seed = states.reshape(self.num_seeds, -1, states.shape[-1])
@@ -109,7 +116,7 @@ def _distance_in_z(
     columns = list(embedding.columns_of(names))
     z_goal = embedding.encode(goal[columns])
 
-    def apart(states: np.ndarray) -> np.ndarray:
+    def distance(states: np.ndarray) -> np.ndarray:
         return norm(embedding.encode(states[..., columns]) - z_goal)
 
-    return apart
+    return distance

@@ -1,12 +1,33 @@
 """Small tanh networks in NumPy, one a seed: for acting, where a call of JAX costs more than the network."""
 
 from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 VARIANCE_FLOOR = 1e-5
 """Added to the variance in layer normalisation."""
+
+
+@runtime_checkable
+class Layers(Protocol):
+    """Any network of tanh layers: `rl.mlp.MLP` or `PolicyNetwork`."""
+
+    @property
+    def weights(self) -> Sequence[Any]:
+        """Weights [out, in] of each layer."""
+        ...
+
+    @property
+    def biases(self) -> Sequence[Any]:
+        """Biases [out] of each layer."""
+        ...
+
+    @property
+    def layer_norm(self) -> bool:
+        """Whether hidden layers are normalised before the tanh."""
+        ...
 
 
 class Stack:
@@ -27,3 +48,15 @@ class Stack:
                 x = x / np.sqrt(np.mean(x**2, axis=-1, keepdims=True) + VARIANCE_FLOOR)
             x = np.tanh(x)
         return x @ self._weights[-1] + self._biases[-1]
+
+
+def stacked(networks: Sequence[Layers]) -> Stack:
+    """Networks of the same sizes as one, with a leading axis."""
+    return Stack(*stacked_layers(networks), layer_norm=networks[0].layer_norm)
+
+
+def stacked_layers(networks: Sequence[Layers]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Weights [seed, out, in] and biases [seed, out] of each layer."""
+    layers = range(len(networks[0].weights))
+    weights = [np.stack([np.asarray(n.weights[k]) for n in networks]) for k in layers]
+    return weights, [np.stack([np.asarray(n.biases[k]) for n in networks]) for k in layers]

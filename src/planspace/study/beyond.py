@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from planspace.embed.config import PRESETS
 from planspace.embed.embedding import InputType
-from planspace.rl.config import Algo, ShapingType, TrainConfig
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import ShapingType, TrainConfig
 from planspace.study.design import BLOCK, Arm, Builder, Claim, Study, panel_of
 from planspace.study.paper import RAW
 from planspace.study.unit import PlansUnit
@@ -15,7 +16,7 @@ SWING_UP = "cartpole-swingup"
 
 # --- controls -------------------------------------------------------------------------------------------
 
-CONTROLLED: tuple[tuple[str, Algo], ...] = (
+CONTROLLED: tuple[tuple[str, str], ...] = (
     (SWING_UP, "trpo"),
     (SWING_UP, "ppo"),
     ("reacher-raw", "trpo"),
@@ -51,21 +52,21 @@ def controls(budget: str, grid: Builder) -> Study:
     )
 
 
-def _control_arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
-    panel, plans, base = panel_of(task, algo), grid.plans_for(task), TrainConfig(task, algo)
+def _control_arms(task: str, algo: str, grid: Builder) -> Iterator[Arm]:
+    panel, plans, base = panel_of(task, algo), grid.plans_for(task), TrainConfig(find_algorithm(algo))
     augment, fits = replace(base, z="augment"), grid.fits(plans, PRESETS["modern"])
-    yield grid.arm(panel, RAW, base)
-    yield grid.arm(panel, TRIG, replace(base, obs="trig"))
-    yield grid.arm(panel, Z, augment, fits)
-    yield grid.arm(panel, TRIG_Z, replace(augment, obs="trig"), fits)
-    yield grid.arm(panel, NORMALISED, base.learning(normalise_obs=True))
+    yield grid.arm(panel, RAW, task, base)
+    yield grid.arm(panel, TRIG, task, replace(base, obs="trig"))
+    yield grid.arm(panel, Z, task, augment, fits)
+    yield grid.arm(panel, TRIG_Z, task, replace(augment, obs="trig"), fits)
+    yield grid.arm(panel, NORMALISED, task, base.with_hyperparameters(normalise_obs=True))
     for label, objective in OBJECTIVES.items():
         config = PRESETS["modern"].with_objective(objective)
-        yield grid.arm(panel, label, augment, grid.fits(plans, config, NUM_OF.get(objective, 0)))
-    yield grid.arm(panel, WIDE, base.learning(match_z=PRESETS["modern"].z_dim))
-    yield grid.arm(panel, LAYER_NORM, base.learning(layer_norm=True))
-    yield grid.arm(panel, TO_POLICY, replace(augment, z_to="policy"), fits)
-    yield grid.arm(panel, TO_CRITIC, replace(augment, z_to="critic"), fits)
+        yield grid.arm(panel, label, task, augment, grid.fits(plans, config, NUM_OF.get(objective, 0)))
+    yield grid.arm(panel, WIDE, task, base.with_hyperparameters(match_z=PRESETS["modern"].z_dim))
+    yield grid.arm(panel, LAYER_NORM, task, base.with_hyperparameters(layer_norm=True))
+    yield grid.arm(panel, TO_POLICY, task, replace(augment, z_to="policy"), fits)
+    yield grid.arm(panel, TO_CRITIC, task, replace(augment, z_to="critic"), fits)
 
 
 def _control_claims(panel: str) -> Iterator[Claim]:
@@ -111,13 +112,13 @@ def demos(budget: str, grid: Builder) -> Study:
 
 
 def _demo_arms(panel: str, form: InputType, grid: Builder) -> Iterator[Arm]:
-    base, config = TrainConfig(SWING_UP), replace(PRESETS["modern"], inputs=form)
+    base, config = TrainConfig(), replace(PRESETS["modern"], inputs=form)
     seeds = EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
-    yield grid.arm(panel, RAW, base, seeds=seeds)
+    yield grid.arm(panel, RAW, SWING_UP, base, seeds=seeds)
     for source in (WOUND, SST, POLISHED):
         for count in COUNTS:
             fits = grid.fits(_plans_of(source, count, grid), config)
-            yield grid.arm(panel, f"{source}, {count}", replace(base, z="augment"), fits, seeds)
+            yield grid.arm(panel, f"{source}, {count}", SWING_UP, replace(base, z="augment"), fits, seeds)
 
 
 def _plans_of(source: str, count: int, grid: Builder) -> PlansUnit:
@@ -167,10 +168,12 @@ def shaping(budget: str, grid: Builder) -> Study:
 
 def _shaping_arms(panel: str, reward: RewardType, grid: Builder) -> Iterator[Arm]:
     fits = grid.fits(grid.plans_for(SWING_UP), PRESETS["modern"])
-    plain = TrainConfig(SWING_UP, obs="trig", reward=reward)
+    plain = TrainConfig(obs="trig", reward=reward)
     for label, form in SHAPINGS.items():
         shaped = replace(plain, shaping=form, shaping_scale=SHAPING_SCALE)
-        yield grid.arm(panel, label, plain if form == "none" else shaped, fits if form == "z" else ())
+        yield grid.arm(
+            panel, label, SWING_UP, plain if form == "none" else shaped, fits if form == "z" else ()
+        )
 
 
 # --- recipe ---------------------------------------------------------------------------------------------
@@ -186,17 +189,17 @@ RECIPE_SEED, RECIPE_FIT_SEED = 200, 10
 def recipe(budget: str, grid: Builder) -> Study:
     """The best that was found for the swing-up, beside raw, sin and cos, and a random encoder."""
     panel, plans = panel_of(SWING_UP, "trpo"), grid.plans_for(SWING_UP)
-    raw = TrainConfig(SWING_UP, preset="modern")
+    raw = TrainConfig(find_algorithm("trpo", "modern"))
     trig, trig_z = replace(raw, obs="trig"), replace(raw, obs="trig", z="augment")
     unseen = replace(grid, seed=RECIPE_SEED)
     random = grid.fits(plans, PRESETS["modern"].with_objective("random"), first=RECIPE_FIT_SEED)
     seeds = RECIPE_EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
     fits = grid.fits(plans, RECIPE_FIT, first=RECIPE_FIT_SEED)
     arms = (
-        unseen.arm(panel, RECIPE, trig_z, fits, seeds),
-        unseen.arm(panel, "sin/cos", trig),
-        unseen.arm(panel, "sin/cos + random encoder", trig_z, random),
-        unseen.arm(panel, RAW, raw),
+        unseen.arm(panel, RECIPE, SWING_UP, trig_z, fits, seeds),
+        unseen.arm(panel, "sin/cos", SWING_UP, trig),
+        unseen.arm(panel, "sin/cos + random encoder", SWING_UP, trig_z, random),
+        unseen.arm(panel, RAW, SWING_UP, raw),
     )
     return Study(
         "recipe",

@@ -66,8 +66,8 @@ class Arm:
 
 def solved_level(arm: Arm) -> float | None:
     """The return above which a seed has solved the task of an arm; None for a reward without a level."""
-    config = arm.units[0].config
-    return find_task(config.task).solved_return if config.reward == "dense" else None
+    unit = arm.units[0]
+    return find_task(unit.task).solved_return if unit.config.reward == "dense" else None
 
 
 @dataclass(frozen=True)
@@ -150,6 +150,7 @@ class Builder:
         self,
         panel: str,
         label: str,
+        task: str,
         config: TrainConfig,
         fits: Iterable[FitUnit] = (),
         seeds: int = 0,
@@ -159,6 +160,7 @@ class Builder:
         Args:
             panel: the figure it is in.
             label: its name there.
+            task: a shipped task.
             config: the arm itself; steps and seeds are the budget's.
             fits: what makes z, taken in turn.
             seeds: how many seeds, where not the budget's number.
@@ -168,7 +170,7 @@ class Builder:
         starts = range(self.seed, self.seed + num, BLOCK)
         blocks = ((start, min(BLOCK, self.seed + num - start)) for start in starts)
         configs = (replace(config, steps=self.budget.steps, seed=s, num_seeds=n) for s, n in blocks)
-        return Arm(panel, label, tuple(PolicyUnit(c, fits) for c in configs))
+        return Arm(panel, label, tuple(PolicyUnit(task, c, fits) for c in configs))
 
     def plans_for(self, task_name: str) -> PlansUnit:
         """The demonstrations that train a task's embeddings."""

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
+from planspace.seams import name_of
 from planspace.study.results import UnitResult
 from planspace.study.unit import PolicyUnit, Unit
 
@@ -49,4 +50,4 @@ class Pace:
 
 
 def _kind(unit: Unit) -> str:
-    return f"{unit.kind} {unit.config.algo}" if isinstance(unit, PolicyUnit) else unit.kind
+    return f"{unit.kind} {name_of(unit.config.algorithm)}" if isinstance(unit, PolicyUnit) else unit.kind

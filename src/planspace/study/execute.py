@@ -28,7 +28,7 @@ from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.storage.checks import reject_malformed
 from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.files import make_folder, write_bytes
@@ -197,7 +197,7 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
 
 def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
     embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
-    history = train(unit.config, folder, embeddings)
+    history = train_policies(unit.task, unit.config, embedding=embeddings, out=folder).history
     returns, steps = history["return"], history["steps"]
     every = KEPT_EVERY if len(returns) >= SHORT else 1
     stops = [*range(every, len(returns), every), len(returns)]

@@ -4,14 +4,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from planspace.embed.config import PRESETS
-from planspace.rl.config import Algo, TrainConfig
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import TrainConfig
 from planspace.study.design import Arm, Builder, Claim, Measure, Study, panel_of
 from planspace.tasks.catalog import TASKS
 
 RAW, LOW_Z, HIGH_Z = "raw", "low-Z augment", "high-Z augment"
 ONLY_LOW_Z, ONLY_HIGH_Z = "low-Z only", "high-Z only"
 LOW_DIM, HIGH_DIM = 3, 10
-ALGOS: tuple[Algo, ...] = ("trpo", "ppo")
+ALGOS: tuple[str, ...] = ("trpo", "ppo")
 PAPER_STEPS = 8_000_000
 TASK_NAMES = tuple(
     task.name
@@ -46,20 +47,20 @@ def _notes(steps: int) -> Iterator[str]:
         )
 
 
-def _arms(task: str, algo: Algo, grid: Builder) -> Iterator[Arm]:
+def _arms(task: str, algo: str, grid: Builder) -> Iterator[Arm]:
     panel, plans = panel_of(task, algo), grid.plans_for(task)
     low, high = (
         grid.fit(plans, replace(PRESETS["paper"], z_dim=z_dim), num_seeds=grid.budget.embeddings)
         for z_dim in (LOW_DIM, HIGH_DIM)
     )
-    base = TrainConfig(task, algo)
+    base = TrainConfig(find_algorithm(algo))
     # where nothing but z is observed, the two reachers do not differ
-    only = replace(base, z="replace", task="reacher-raw" if task == "reacher-trig" else task)
-    yield grid.arm(panel, RAW, base)
-    yield grid.arm(panel, LOW_Z, replace(base, z="augment"), [low])
-    yield grid.arm(panel, HIGH_Z, replace(base, z="augment"), [high])
-    yield grid.arm(panel, ONLY_LOW_Z, only, [low])
-    yield grid.arm(panel, ONLY_HIGH_Z, only, [high])
+    only, same = replace(base, z="replace"), "reacher-raw" if task == "reacher-trig" else task
+    yield grid.arm(panel, RAW, task, base)
+    yield grid.arm(panel, LOW_Z, task, replace(base, z="augment"), [low])
+    yield grid.arm(panel, HIGH_Z, task, replace(base, z="augment"), [high])
+    yield grid.arm(panel, ONLY_LOW_Z, same, only, [low])
+    yield grid.arm(panel, ONLY_HIGH_Z, same, only, [high])
 
 
 def _swing_up_claims() -> Iterator[Claim]:

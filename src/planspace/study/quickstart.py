@@ -18,7 +18,7 @@ from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
-from planspace.rl.train import train
+from planspace.rl.training import train_policies
 from planspace.storage.arrays import Arrays
 from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.json_files import read_json, write_json
@@ -116,7 +116,9 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
     )
     arms = _arms(task_name, budget, seed)
     histories = {
-        label: train(config, out / "train" / folder, [] if config.z == "none" else [embedding])
+        label: train_policies(
+            task, config, embedding=embedding if config.z != "none" else None, out=out / "train" / folder
+        ).history
         for label, folder, config in arms
     }
     with reject_malformed(out / "embedding" / DESCRIPTION):
@@ -149,7 +151,7 @@ def rebuild(out: Path) -> dict[str, Any]:
 
 def _arms(task_name: str, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
     """Label, folder and settings of each arm; `trig` is left out where the task observes it already."""
-    base = TrainConfig(task=task_name, num_seeds=budget.seeds, seed=seed, steps=budget.steps)
+    base = TrainConfig(num_seeds=budget.seeds, seed=seed, steps=budget.steps)
     raw = ("raw", "raw", base)
     if not find_task(task_name).sin_cos_columns:
         return [raw, ("raw + z", "raw-z", replace(base, z="augment"))]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from planspace.seams import name_of
 from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json
 from planspace.study import stats
@@ -113,12 +114,12 @@ def _over_tasks(findings: Findings) -> list[OverTasksRow]:
     tasks = {arm.task for arm in findings.study.arms}
     found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for arm in findings.study.arms:
-        config = arm.units[0].config
-        levels = find_task(config.task).return_range
-        if arm.name in findings.scores and config.reward == "dense" and levels is not None:
+        unit = arm.units[0]
+        levels = find_task(unit.task).return_range
+        if arm.name in findings.scores and unit.config.reward == "dense" and levels is not None:
             low, high = levels
             normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
-            found.setdefault((config.algo.upper(), arm.label), {})[arm.task] = normalised
+            found.setdefault((name_of(unit.config.algorithm).upper(), arm.label), {})[arm.task] = normalised
     rows = []
     for (algo, label), samples in found.items():
         if len(samples) > 1 and samples.keys() == tasks:

@@ -19,8 +19,9 @@ PlanSource = Literal["plan", "2020"]
 
 SECONDS_A_PLAN = {"plan": 0.85, "2020": 2.0}
 SECONDS_A_TRIPLET = 4.5e-6
-STEPS_A_SECOND = {"trpo": 60_000, "ppo": 42_000}
-"""What one core does, roughly: the time left is guessed by it until units have shown better."""
+STEPS_A_SECOND = 50_000.0
+"""Environment steps that one core trains in a second, roughly, for an algorithm without `steps_a_second`. The
+time left is estimated from it until units are done."""
 
 
 class _Unit:
@@ -95,6 +96,8 @@ class PolicyUnit(_Unit):
     """Policies of some neighbouring seeds of an arm."""
 
     kind = "policies"
+    task: str
+    """A shipped task."""
     config: TrainConfig
     """The arm, and which seeds."""
     fits: tuple[FitUnit, ...] = ()
@@ -108,7 +111,8 @@ class PolicyUnit(_Unit):
     @property
     def cost(self) -> float:
         """A guess of the seconds it takes one core."""
-        return self.config.steps * self.config.num_seeds / STEPS_A_SECOND[self.config.algo]
+        rate = getattr(self.config.algorithm, "steps_a_second", STEPS_A_SECOND)
+        return self.config.steps * self.config.num_seeds / rate
 
 
 Unit = PlansUnit | FitUnit | PolicyUnit
@@ -116,9 +120,7 @@ Unit = PlansUnit | FitUnit | PolicyUnit
 
 def _plain(value: Any) -> Any:
     """Dataclasses as plain data, presets resolved."""
-    if isinstance(value, TrainConfig):
-        value = value.learning()  # the preset's settings themselves, which may change under its name
-    if isinstance(value, FitConfig):
+    if isinstance(value, TrainConfig | FitConfig):
         return plain_settings(value)
     if is_dataclass(value):
         problem = {"problem_hash": _problem_hash(value.problem)} if isinstance(value, PlansUnit) else {}

@@ -9,11 +9,23 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from planspace.embed.gaussian import kl
-from planspace.rl.config import TRPOConfig
+from planspace.rl.agent import AgentState, ImproveFn, Improvement, Samples
+from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.policy import GaussianPolicy, UpdateInfo
+
+
+def improve(config: TRPO) -> ImproveFn:
+    """The update of TRPO with these hyper-parameters."""
+
+    def step(state: AgentState, samples: Samples, key: Key[Array, ""]) -> Improvement:
+        obs, actions = (x.reshape(-1, x.shape[-1]) for x in (samples.obs, samples.actions))
+        policy, info = _update(state.policy, obs, actions, samples.advantages.ravel(), config)
+        return policy, state.optimiser, info
+
+    return step
 
 
 def update(
@@ -21,7 +33,7 @@ def update(
     obs: Float[Array, "sample obs"],
     actions: Float[Array, "sample action"],
     advantages: Float[Array, " sample"],
-    config: TRPOConfig,
+    config: TRPO,
 ) -> tuple[GaussianPolicy, UpdateInfo]:
     """One update from the samples of one iteration."""
     theta, rebuild = ravel_pytree(policy)
@@ -70,6 +82,9 @@ def update(
         skipped=~accepted,
     )
     return chosen, info
+
+
+_update = jax.jit(update, static_argnames="config")
 
 
 def fisher_product(

@@ -4,15 +4,20 @@ A sample is what a minibatch is made of: a step, or a whole trajectory of steps,
 their own after the first. The loss is a mean over steps either way.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
 from planspace.embed.gaussian import kl
-from planspace.rl.config import PPOConfig
+from planspace.rl.agent import AgentState, ImproveFn, Improvement, Samples
+from planspace.rl.algorithm import Diverged
+from planspace.rl.algorithms.ppo import PPO
 from planspace.rl.policy import GaussianPolicy, UpdateInfo
 
 
@@ -26,7 +31,7 @@ class Batch(eqx.Module):
     """Of the actions, under the policy that took them."""
 
 
-def optimiser(config: PPOConfig) -> optax.GradientTransformation:
+def optimiser(config: PPO) -> optax.GradientTransformation:
     """Adam, behind a bound on the gradient's norm if there is one."""
     adam = optax.adam(config.learning_rate)
     return (
@@ -34,8 +39,25 @@ def optimiser(config: PPOConfig) -> optax.GradientTransformation:
     )
 
 
+def improve(config: PPO) -> ImproveFn:
+    """The update of PPO with these hyper-parameters."""
+
+    def step(state: AgentState, samples: Samples, key: Key[Array, ""]) -> Improvement:
+        obs, actions, advantages = samples
+        if config.of_steps:
+            parts = obs.reshape(-1, obs.shape[-1]), actions.reshape(-1, actions.shape[-1]), advantages.ravel()
+        else:  # whole trajectories: one for each environment
+            parts = tuple(np.ascontiguousarray(np.swapaxes(x, 0, 1)) for x in samples)
+        policy, adam, info = _update(state.policy, state.optimiser, *parts, key, config)
+        if info.skipped:
+            raise Diverged
+        return policy, adam, info
+
+    return step
+
+
 def update(
-    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig, *, key: Key[Array, ""]
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPO, *, key: Key[Array, ""]
 ) -> tuple[GaussianPolicy, optax.OptState, UpdateInfo]:
     """Several epochs of minibatches over the samples of one iteration.
 
@@ -73,6 +95,20 @@ def update(
     return chosen, chosen_adam, info
 
 
+@functools.partial(jax.jit, static_argnames="config")
+def _update(
+    policy: GaussianPolicy,
+    adam: optax.OptState,
+    obs: Float[Array, "sample *time obs"],
+    actions: Float[Array, "sample *time action"],
+    advantages: Float[Array, "sample *time"],
+    key: Key[Array, ""],
+    config: PPO,
+) -> tuple[GaussianPolicy, optax.OptState, UpdateInfo]:
+    log_prob = policy.log_prob(obs, actions)
+    return update(policy, adam, Batch(obs, actions, advantages, log_prob), config, key=key)
+
+
 def loss(policy: GaussianPolicy, batch: Batch, clip: float) -> Float[Array, ""]:
     """Minus the clipped surrogate.
 
@@ -84,7 +120,7 @@ def loss(policy: GaussianPolicy, batch: Batch, clip: float) -> Float[Array, ""]:
 
 
 def minibatch_step(
-    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPO
 ) -> tuple[GaussianPolicy, optax.OptState]:
     """One step of the optimiser."""
     gradient = jax.grad(loss)(policy, batch, config.clip)
@@ -93,7 +129,7 @@ def minibatch_step(
 
 
 def _epoch(
-    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPOConfig, *, key: Key[Array, ""]
+    policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPO, *, key: Key[Array, ""]
 ) -> tuple[GaussianPolicy, optax.OptState]:
     """All samples once, in a random order; the last minibatch may be smaller."""
     num = len(batch.advantages)

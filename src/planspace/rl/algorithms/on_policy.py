@@ -1,0 +1,59 @@
+"""Hyper-parameters that TRPO and PPO share. Imports no JAX, so that `--help` answers at once."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from planspace.errors import UsageError, unknown
+
+CriticName = Literal["linear", "mlp"]
+
+
+@dataclass(frozen=True)
+class OnPolicy:
+    """Hyper-parameters of policy, critic and advantages; the defaults are those of TRPO in 2020."""
+
+    discount: float = 0.99
+    """Discount factor gamma."""
+    gae_lambda: float = 0.98
+    """lambda of generalised advantage estimation."""
+    critic: CriticName = "linear"
+    """`linear`: ridge regression on simple features. `mlp`: a network with tanh units."""
+    hidden: tuple[int, ...] = (32, 32)
+    """Units of the policy's hidden layers."""
+    critic_hidden: tuple[int, ...] = (32, 32)
+    """Units of the hidden layers of an `mlp` critic."""
+    match_z: int = 0
+    """Widen the policy and an `mlp` critic until they have as many parameters as networks that also observe a
+    z of this many numbers: a control for what z adds."""
+    layer_norm: bool = False
+    """Normalise the policy's hidden layers."""
+    normalise_obs: bool = False
+    """Standardise observations by the mean and standard deviation that each seed has seen so far."""
+    normalise_advantages: bool = True
+    """Bring the advantages of each iteration to mean 0 and standard deviation 1."""
+    bootstrap_timeout: bool = False
+    """Count the value of the state at the time limit; the 2020 runs counted nothing beyond it."""
+    entropy_reward: float = 0.0
+    """Reward per nat of the policy's entropy, without a gradient."""
+
+    def __post_init__(self) -> None:
+        """Check names and sizes.
+
+        Raises:
+            UsageError: the critic is unknown, a layer has no units, or `match_z` is negative.
+        """
+        if self.critic not in get_args(CriticName):
+            raise unknown("critic", self.critic, get_args(CriticName))
+        for layers in (self.hidden, self.critic_hidden):
+            if not layers or min(layers) < 1:
+                raise UsageError(f"hidden layers need at least one unit each, got {layers}.")
+        if self.match_z < 0:
+            raise UsageError(f"match_z must be at least 0, got {self.match_z}.")
+
+
+TRPO_2020 = OnPolicy()
+"""The 2020 runs' settings of TRPO."""
+PPO_2020 = OnPolicy(gae_lambda=0.95, critic="mlp", normalise_advantages=False, entropy_reward=0.02)
+"""The 2020 runs' settings of PPO."""
+MODERN = OnPolicy(gae_lambda=0.95, critic="mlp", normalise_obs=True, bootstrap_timeout=True)
+"""Not the linear critic: where values beyond the time limit count, its errors feed back and can run away."""

@@ -1,0 +1,57 @@
+"""Trust region policy optimisation (Schulman et al. 2015)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from planspace.rl.algorithm import Arm, Key, PolicyNetwork, Rollout
+from planspace.rl.algorithms.on_policy import TRPO_2020, OnPolicy
+
+
+@dataclass(frozen=True)
+class TRPO:
+    """Trust region policy optimisation; the defaults are the preset `paper`."""
+
+    name: ClassVar[str] = "trpo"
+    steps_a_second: ClassVar[float] = 60_000
+    """Environment steps that one core trains in a second, roughly."""
+
+    on_policy: OnPolicy = TRPO_2020
+    """Policy, critic and advantages."""
+    max_kl: float = 0.01
+    """Bound on the mean KL of an update [nat]."""
+    cg_steps: int = 10
+    """Conjugate gradient steps."""
+    cg_damping: float = 1e-5
+    """Added to the diagonal of the Fisher matrix."""
+    backtrack_ratio: float = 0.8
+    """Factor by which the line search shortens a rejected step."""
+    max_backtracks: int = 15
+    """Rejected steps after which the line search leaves the policy unchanged."""
+
+    def init(self, arm: Arm, *, key: Key) -> Any:
+        """Return a fresh policy and critic."""
+        from planspace.rl.agent import new_agent
+
+        return new_agent(self.on_policy, arm, key=key)
+
+    def collect(self, arm: Arm, states: Sequence[Any], rngs: Sequence[np.random.Generator]) -> Rollout:
+        """Play episodes with actions drawn from the policies."""
+        from planspace.rl.agent import collect
+
+        return collect(self.on_policy, arm, states, rngs)
+
+    def update(self, arm: Arm, state: Any, rollout: Rollout, *, key: Key) -> tuple[Any, Mapping[str, float]]:
+        """Take the largest step within the trust region, then fit the critic."""
+        from planspace.rl.agent import update
+        from planspace.rl.trpo_update import improve
+
+        return update(self.on_policy, improve(self), arm, state, rollout, key=key)
+
+    def act(self, arm: Arm, state: Any) -> PolicyNetwork:
+        """Return the network of the mean action."""
+        from planspace.rl.agent import act
+
+        return act(self.on_policy, state)

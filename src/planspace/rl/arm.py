@@ -1,0 +1,74 @@
+"""What an algorithm trains on: the environments of all seeds, and what each of them observes and is paid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planspace.envs.batch import TaskBatch
+from planspace.rl.config import TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.rollout import ActFn, Rollout, collect
+from planspace.rl.shaping import Shaping
+from planspace.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A task as an algorithm sees it, with the environments of all seeds; it does not change in training."""
+
+    config: TrainConfig
+    """The settings of the run."""
+    observer: Observer
+    """What policy and critic observe."""
+    batch: TaskBatch
+    """The environments, seed by seed, the same number for each seed."""
+    shaping: Shaping | None = None
+    """The shaping reward, if there is any."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return self.batch.task
+
+    @property
+    def num_envs(self) -> int:
+        """Environments a seed."""
+        return len(self.batch.states) // self.config.num_seeds
+
+    @property
+    def steps(self) -> int:
+        """Steps an iteration and seed: one episode of full length in each environment."""
+        return self.num_envs * self.task.horizon
+
+    @property
+    def num_actions(self) -> int:
+        """Numbers in an action."""
+        return len(self.batch.simulator.control_low)
+
+    @property
+    def num_policy_obs(self) -> int:
+        """Numbers that the policy observes; they are the columns `observer.policy_columns`."""
+        return self.observer.num_policy_obs
+
+    def rollout(
+        self,
+        act: ActFn,
+        rngs: Sequence[np.random.Generator],
+        *,
+        discount: float = 1.0,
+        bootstrap_timeout: bool = False,
+    ) -> Rollout:
+        """Play fresh episodes in every environment, for as many steps as an episode lasts at most.
+
+        Args:
+            act: (observations [seed, env, obs], unit Gaussian noise [seed, env, action]) to the actions
+                [seed, env, action]. The noise comes from `rngs`; use it to explore, so that a seed's actions
+                do not depend on other seeds.
+            rngs: the random stream of each seed.
+            discount: the algorithm's discount factor; the shaping reward depends on it.
+            bootstrap_timeout: whether the algorithm counts the value of the state at the time limit; the
+                shaping reward depends on it.
+        """
+        shape = None if self.shaping is None else self.shaping.reward_fn(discount, bootstrap_timeout)
+        return collect(self.batch, self.observer, act, self.task.horizon, rngs, shape=shape)

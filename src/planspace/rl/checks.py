@@ -1,0 +1,116 @@
+"""What training checks of an algorithm's results, so that a misfit is refused where it is handed over."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from planspace.errors import UsageError, quoted
+from planspace.rl.algorithm import HOW_TO
+from planspace.rl.arm import Arm
+from planspace.rl.policy_network import PolicyNetwork
+from planspace.rl.rollout import Rollout
+
+
+def checked_state(state: Any) -> Any:
+    """The result of `Algorithm.init`.
+
+    Raises:
+        UsageError: a number is not finite, or is no array, so that a checkpoint would not hold it.
+    """
+    for path, leaf in jax.tree.leaves_with_path(state):
+        where = jax.tree_util.keystr(path)
+        if isinstance(leaf, bool | int | float | complex | np.generic):
+            raise _misfit(
+                "init", f"arrays only; np.array({leaf!r}) would do", f"{leaf!r} at {where or 'the top'}"
+            )
+        if hasattr(leaf, "dtype") and jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            raise _misfit("init", "no random keys; `update` gets one", f"a key at {where or 'the top'}")
+    if not all_finite(state):
+        raise _misfit("init", "finite numbers", "NaN or infinity")
+    return state
+
+
+def checked_rollout(rollout: Any, arm: Arm) -> Rollout:
+    """The result of `Algorithm.collect`.
+
+    Raises:
+        UsageError: it is no rollout of all seeds.
+    """
+    if not isinstance(rollout, Rollout):
+        raise _misfit("collect", "a Rollout, as `arm.rollout` does", f"{quoted(rollout)}")
+    wanted, got = (arm.config.num_seeds, arm.num_envs), rollout.rewards.shape[1:]
+    if got != wanted:
+        raise _misfit("collect", f"rewards of shape [time, seed, env] with (seed, env) = {wanted}", f"{got}")
+    return rollout
+
+
+def checked_update(result: Any, before: Any) -> tuple[Any, dict[str, float]]:
+    """The result of `Algorithm.update`.
+
+    Raises:
+        UsageError: it is no pair of a state like the one before and numbers by name.
+    """
+    if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[1], Mapping):
+        raise _misfit("update", "a state and a mapping of numbers by name", quoted(result))
+    state, numbers = result
+    old, new = jax.tree.structure(before), jax.tree.structure(state)
+    if old != new:
+        raise _misfit("update", f"a state of the structure that `init` returned, {old}", f"{new}")
+    leaves = zip(jax.tree.leaves_with_path(before), jax.tree.leaves(state), strict=True)
+    for (path, a), b in leaves:
+        if _kind(a) != _kind(b):
+            where = jax.tree_util.keystr(path) or "its only array"
+            raise _misfit("update", f"{where} with {_kind(a)}, as `init` did", _kind(b))
+    for name, number in numbers.items():
+        if not isinstance(name, str) or not name.isidentifier() or np.ndim(number) != 0:
+            got = f"{quoted(number)} as {quoted(name)}"
+            raise _misfit("update", "single numbers by names such as 'loss'", got)
+    return state, {name: float(x) for name, x in numbers.items()}
+
+
+def checked_network(network: Any, arm: Arm) -> PolicyNetwork:
+    """The result of `Algorithm.act`.
+
+    Raises:
+        UsageError: it is no network from observations to actions.
+    """
+    if not isinstance(network, PolicyNetwork):
+        raise _misfit("act", "a PolicyNetwork", quoted(network))
+    shapes = [np.shape(weight) for weight in network.weights]
+    widths = [arm.num_policy_obs, *(np.shape(bias)[0] for bias in network.biases)]
+    wanted = list(zip(widths[1:], widths[:-1], strict=True))
+    if shapes != wanted or widths[-1] != arm.num_actions:
+        sizes = f"{arm.num_policy_obs} observed numbers to {arm.num_actions} actions"
+        raise _misfit(
+            "act", f"weights [out, in] and biases [out] from {sizes}", f"weights of shapes {shapes}"
+        )
+    return network
+
+
+def checked_names(found: list[dict[str, float]], known: tuple[str, ...], reserved: tuple[str, ...]) -> None:
+    """Check that every seed and iteration has the same numbers.
+
+    Raises:
+        UsageError: a name is missing, new, or taken by training.
+    """
+    for numbers in found:
+        if taken := [name for name in numbers if name in reserved]:
+            raise _misfit("update", "names that training does not use itself", taken[0])
+        if set(numbers) != set(known):
+            raise _misfit("update", f"the same numbers each time, {sorted(known)}", f"{sorted(numbers)}")
+
+
+def all_finite(tree: Any) -> bool:
+    """Whether every number of every array is finite."""
+    arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(tree) if hasattr(leaf, "dtype")]
+    return all(np.isfinite(x).all() for x in arrays if x.dtype.kind in "fc")
+
+
+def _kind(leaf: Any) -> str:
+    return f"shape {leaf.shape} and type {leaf.dtype}" if hasattr(leaf, "dtype") else type(leaf).__name__
+
+
+def _misfit(method: str, wanted: str, got: str) -> UsageError:
+    return UsageError(f"Algorithm.{method} must return {wanted}; got {got}. See {HOW_TO}.")

@@ -1,0 +1,86 @@
+"""Saves the policies of a run as plain arrays, with the embeddings that they need."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from planspace.embed.embedding import DESCRIPTION, Embedding
+from planspace.rl.arm import Arm
+from planspace.rl.history import without_nan
+from planspace.rl.normalise import ObsStatistics
+from planspace.rl.policy_network import PolicyNetwork, log_stds
+from planspace.rl.saved_policy import EMBEDDING, save_policies
+from planspace.rl.stack import stacked_layers
+from planspace.storage.arrays import Arrays
+from planspace.storage.provenance import Provenance
+from planspace.tasks.catalog import shipped_tasks
+from planspace.tasks.task import Task
+
+
+def export_policies(
+    out: Path,
+    arm: Arm,
+    networks: Sequence[PolicyNetwork],
+    embeddings: Sequence[Embedding],
+    returns: Sequence[float],
+) -> None:
+    """Write policies and embeddings where `load_policy` finds them.
+
+    Args:
+        out: the run's folder.
+        arm: what was trained on.
+        networks: one a seed.
+        embeddings: what makes z; seed `s` takes number `s` modulo their count.
+        returns: the return of each seed in the last evaluation.
+    """
+    config, observer = arm.config, arm.observer
+    folders = [EMBEDDING] if len(embeddings) == 1 else [f"{EMBEDDING}-{i}" for i in range(len(embeddings))]
+    if config.needs_embedding:
+        for embedding, folder in zip(embeddings, folders, strict=True):
+            if not (out / folder / DESCRIPTION).exists():
+                embedding.save(out / folder)
+    columns = observer.policy_columns
+    about = {
+        "task": arm.task.name,
+        **_identity(arm.task),
+        "obs": config.obs,
+        "reward": config.reward,
+        "z": config.z,
+        "z_to": config.z_to,
+        "num_obs": observer.num_obs,
+        "columns": [columns.start, columns.stop],
+        "layer_norm": networks[0].layer_norm,
+        "seeds": list(config.seeds),
+        "embeddings": [folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
+        **without_nan(
+            {
+                "action_low": arm.batch.simulator.control_low.tolist(),
+                "action_high": arm.batch.simulator.control_high.tolist(),
+                "returns": list(returns),
+            }
+        ),
+        "versions": Provenance.current().plain(),
+    }
+    save_policies(out, _arrays(networks), about)
+
+
+def _identity(task: Task) -> dict[str, str | None]:
+    """What tells a task from others: the Gymnasium id of a shipped one, the content of another."""
+    return {"env_id": task.env_id} if is_shipped(task) else {"env_id": None, "task_sha256": task.hash}
+
+
+def is_shipped(task: Task) -> bool:
+    """Whether planspace ships the task, so that its name says everything."""
+    return shipped_tasks().get(task.name) == task
+
+
+def _arrays(networks: Sequence[PolicyNetwork]) -> Arrays:
+    weights, biases = stacked_layers(networks)
+    arrays = {f"{n}.weight": weight for n, weight in enumerate(weights)}
+    arrays |= {f"{n}.bias": bias for n, bias in enumerate(biases)}
+    if logs := log_stds(networks):
+        arrays["log_std"] = np.stack(logs)
+    if statistics := [n.statistics for n in networks if n.statistics is not None]:
+        arrays |= ObsStatistics.stacked(statistics)._asdict()
+    return arrays

@@ -1,0 +1,310 @@
+"""Training: one arm (task, algorithm, observation), all its seeds in one program."""
+
+import re
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.random as jr
+import numpy as np
+
+from planspace.embed.embedding import Embedding
+from planspace.envs.batch import TaskBatch
+from planspace.errors import UsageError
+from planspace.progress import progress, progress_shown
+from planspace.rl.algorithm import Algorithm, Diverged
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.arm import Arm
+from planspace.rl.checks import (
+    all_finite,
+    checked_names,
+    checked_network,
+    checked_rollout,
+    checked_state,
+    checked_update,
+)
+from planspace.rl.config import TrainConfig
+from planspace.rl.export import export_policies, is_shipped
+from planspace.rl.history import COMMON, EVALUATION, HISTORY, load_history, scalars, with_row, without_nan
+from planspace.rl.observe import Observer
+from planspace.rl.policy_network import Actor, PolicyNetwork
+from planspace.rl.rollout import collect, episode_returns, first_returns
+from planspace.rl.shaping import Shaping
+from planspace.rl.trained import TemporaryFolder, TrainedPolicies
+from planspace.seams import plain_settings
+from planspace.storage.arrays import Arrays, read_arrays, write_arrays
+from planspace.storage.checkpoint import FILE, load_checkpoint, save_checkpoint
+from planspace.storage.provenance import Provenance
+from planspace.storage.rows import append_rows
+from planspace.storage.runs import open_run
+from planspace.storage.tracking import TrackerName, open_trackers
+from planspace.tasks.catalog import find_task
+from planspace.tasks.task import Task, find_reward_type
+from planspace.workers import count_cores
+
+CHECKPOINT_EVERY = 10
+"""Iterations between checkpoints."""
+EVALUATION_SEED = 20_201_026
+"""Seed of the episodes of an evaluation: they start the same for every seed of every arm."""
+
+
+class _State(NamedTuple):
+    """Everything that changes from one iteration to the next.
+
+    Every iteration starts from fresh episodes and from random streams made of seed and iteration, so neither
+    physics nor random states belong here.
+    """
+
+    agents: tuple[Any, ...]
+    """The algorithm's state of each seed."""
+    frozen: np.ndarray
+    """Seeds that came upon a number that is not finite; they keep their state and act as before."""
+    history: Arrays
+    """`COMMON` and the algorithm's own numbers as [iteration, seed], `EVALUATION` as [evaluation, seed];
+    filled as far as the run has come."""
+
+
+@dataclass(frozen=True)
+class _Training:
+    """Everything that stays as it is."""
+
+    arm: Arm
+    threads: ThreadPoolExecutor
+    """The seeds are updated side by side in these."""
+
+    @property
+    def algorithm(self) -> Algorithm:
+        return self.arm.config.algorithm
+
+
+def train_policies(
+    task: str | Task,
+    config: TrainConfig | None = None,
+    *,
+    algorithm: Algorithm | str | None = None,
+    embedding: Embedding | Sequence[Embedding] | None = None,
+    out: str | Path | None = None,
+    track: Sequence[TrackerName] = (),
+    verbose: bool = True,
+) -> TrainedPolicies:
+    """Train policies on a task, all seeds at once.
+
+    The same call continues an interrupted run bit for bit, and loads a finished one. The result of a seed
+    does not depend on the seeds beside it.
+
+    Args:
+        task: a task, or the name of a shipped one.
+        config: settings; by default 5 seeds of TRPO.
+        algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
+            replaces that of `config`.
+        embedding: what makes z, if `config` uses z: one, or several that the seeds take in turn (seed `s`
+            takes number `s` modulo their count).
+        out: the run's folder; without it, policies are kept in a temporary folder.
+        track: where to show the learning curves, too: `tensorboard`, `wandb`.
+        verbose: show the progress.
+
+    Raises:
+        PlanspaceError: the folder holds a run with other settings, or cannot be written.
+        UsageError: settings, task, algorithm and embedding do not fit together.
+    """
+    task = find_task(task)
+    config = config or TrainConfig()
+    if algorithm is not None:
+        chosen = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
+        config = replace(config, algorithm=chosen)
+    find_reward_type(config.reward, task)
+    given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
+    dealt = _dealt(given, config)
+    observer = Observer(
+        task, config.obs, config.z, config.z_to, dealt if config.z != "none" else (), config.num_seeds
+    )
+    shaping = Shaping.of(config, task, dealt)
+    temporary = TemporaryFolder() if out is None else None
+    run = temporary.path if temporary else Path(str(out))
+    open_run(run, _settings(task, config, given))
+    if (run / HISTORY).exists():
+        history = load_history(run, (config.iterations, config.num_seeds))
+    else:
+        batch = TaskBatch(
+            task, config.num_seeds * num_episodes(task, config.batch_steps), reward=config.reward
+        )
+        with progress_shown(verbose):
+            history = _train(Arm(config, observer, batch, shaping), given, run, track)
+    return TrainedPolicies(task.name, config, history, run, temporary)
+
+
+def num_episodes(task: Task, batch_steps: int) -> int:
+    """Environments a seed: the number of whole episodes that comes nearest to `batch_steps`."""
+    return max(1, round(batch_steps / task.horizon))
+
+
+def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequence[TrackerName]) -> Arrays:
+    config = arm.config
+    with ThreadPoolExecutor(min(count_cores(), config.num_seeds)) as threads:
+        training = _Training(arm, threads)
+        state, first = _init(training), 0
+        if (out / FILE).exists():
+            state = _with_numbers(training, state, _saved_names(out / FILE))
+            saved = load_checkpoint(out, state)
+            assert saved is not None
+            state, first = saved[0], saved[1]["iteration"]
+        state = _run(training, state, first, out, track)
+    history = {
+        "steps": arm.steps * np.arange(1, config.iterations + 1),
+        "eval_steps": arm.steps * np.array(config.evaluations),
+        **{key: np.asarray(value) for key, value in state.history.items()},
+    }
+    export_policies(out, arm, _networks(training, state), embeddings, history[EVALUATION][-1].tolist())
+    write_arrays(out / HISTORY, history)
+    return history
+
+
+def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
+    """The embeddings as the seeds take them."""
+    if embeddings and not config.needs_embedding:
+        raise UsageError(
+            "an embedding was given, but z is 'none': give --z augment, --z replace or --shaping z."
+        )
+    if len(embeddings) <= 1:
+        return embeddings
+    if len(embeddings) > config.num_seeds:
+        raise UsageError(f"{len(embeddings)} embeddings are too many for {config.num_seeds} seeds.")
+    return tuple(embeddings[seed % len(embeddings)] for seed in config.seeds)
+
+
+def _settings(task: Task, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
+    """The content of `config.json`; `read_settings` reads it."""
+    content = {} if is_shipped(task) else {"task_sha256": task.hash}
+    return {
+        "task": task.name,
+        **content,
+        **plain_settings(config),
+        "embeddings": [embedding.hash for embedding in embeddings],
+        "versions": Provenance.current("mujoco", "jax").plain(),
+    }
+
+
+def _init(training: _Training) -> _State:
+    arm, config = training.arm, training.arm.config
+    agents = tuple(checked_state(training.algorithm.init(arm, key=jr.key(seed))) for seed in config.seeds)
+    evaluation = np.full((len(config.evaluations), config.num_seeds), np.nan)
+    state = _State(agents, np.zeros(config.num_seeds, bool), {EVALUATION: evaluation})
+    return _with_numbers(training, state, COMMON)
+
+
+def _with_numbers(training: _Training, state: _State, names: Sequence[str]) -> _State:
+    """A state whose history has room for these numbers of each iteration and seed."""
+    config = training.arm.config
+    room = {name: np.full((config.iterations, config.num_seeds), np.nan) for name in names}
+    return state._replace(history={**room, **state.history})
+
+
+def _run(training: _Training, state: _State, first: int, out: Path, track: Sequence[TrackerName]) -> _State:
+    config, steps, done = training.arm.config, training.arm.steps, first
+    saved = first
+    with (
+        open_trackers(track, out) as add_scalars,
+        progress(f"train {out.name}", config.iterations, done=first, unit="iteration") as bar,
+    ):
+
+        def save() -> None:
+            rows = [_row(state.history, config, i) for i in range(saved, done)]
+            for i, row in enumerate(rows, saved + 1):
+                add_scalars(i * steps, scalars(row, config.seeds))
+            log = [
+                {"iteration": i, "saved": time.time(), **without_nan(row)}
+                for i, row in enumerate(rows, saved + 1)
+            ]
+            append_rows(out / "log.jsonl", log, key="iteration")
+            save_checkpoint(out, state, {"iteration": done})
+
+        try:
+            while done < config.iterations:
+                new = _iterate(training, state, done)
+                if done + 1 in config.evaluations:
+                    new = _evaluate(training, new, config.evaluations.index(done + 1))
+                state, done = new, done + 1  # together, so that an interrupt finds both or neither
+                if done % CHECKPOINT_EVERY == 0 or done == config.iterations:
+                    save()
+                    saved = done
+                bar.update()
+                latest = float(np.mean(state.history["return"][done - 1]))
+                bar.set_postfix_str(f"return {latest:.1f}", refresh=False)
+        except KeyboardInterrupt:
+            if done > saved:
+                save()
+            raise
+    return state
+
+
+def _row(history: Arrays, config: TrainConfig, i: int) -> dict[str, list[float]]:
+    """The numbers of one iteration, and of the evaluation after it if there was one."""
+    row = {key: numbers[i].tolist() for key, numbers in history.items() if key != EVALUATION}
+    if i + 1 in config.evaluations:
+        row[EVALUATION] = history[EVALUATION][config.evaluations.index(i + 1)].tolist()
+    return row
+
+
+def _iterate(training: _Training, state: _State, iteration: int) -> _State:
+    arm, config = training.arm, training.arm.config
+    rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in config.seeds]
+    rollout = checked_rollout(training.algorithm.collect(arm, state.agents, rngs), arm)
+    parts = [rollout.of_seed(i) for i in range(config.num_seeds)]
+
+    def update(i: int) -> tuple[Any, dict[str, float] | None]:
+        key = jr.fold_in(jr.key(config.seeds[i]), 1 + iteration)
+        before = state.agents[i]
+        if state.frozen[i]:
+            return before, None
+        try:
+            after, numbers = checked_update(training.algorithm.update(arm, before, parts[i], key=key), before)
+        except Diverged:
+            return before, None
+        return (after, numbers) if all_finite(after) else (before, None)
+
+    agents, found = zip(*training.threads.map(update, range(config.num_seeds)), strict=True)
+    frozen = np.array([numbers is None for numbers in found])
+    state = _with_new_numbers(training, state, [numbers for numbers in found if numbers is not None])
+    row = {
+        name: np.array([np.nan if numbers is None else numbers[name] for numbers in found])
+        for name in state.history
+        if name not in (*COMMON, EVALUATION)
+    }
+    row["return"], row["length"] = episode_returns(rollout)
+    row["frozen"] = frozen.astype(float)
+    return _State(agents, frozen, with_row(state.history, row, iteration))
+
+
+def _saved_names(checkpoint: Path) -> list[str]:
+    """The numbers of each iteration and seed that a checkpoint holds."""
+    matches = [re.fullmatch(r"\.history\['(\w+)'\]", name) for name in read_arrays(checkpoint)]
+    return [match[1] for match in matches if match is not None and match[1] != EVALUATION]
+
+
+def _with_new_numbers(training: _Training, state: _State, found: list[dict[str, float]]) -> _State:
+    """Make room for the algorithm's own numbers when they are first known, then check their names."""
+    known = tuple(name for name in state.history if name not in (*COMMON, EVALUATION))
+    if found and not known:
+        known = tuple(found[0])
+        checked_names(found, known, (*COMMON, EVALUATION))
+        return _with_numbers(training, state, known)
+    checked_names(found, known, (*COMMON, EVALUATION))
+    return state
+
+
+def _evaluate(training: _Training, state: _State, number: int) -> _State:
+    """Play an episode in each environment without exploration."""
+    arm = training.arm
+    rngs = [np.random.default_rng(EVALUATION_SEED) for _ in arm.config.seeds]
+    calm = [replace(network, log_std=None) for network in _networks(training, state)]
+    actor = Actor(calm, arm.observer.policy_columns)
+    rollout = collect(arm.batch, arm.observer, actor, arm.task.horizon, rngs)
+    return state._replace(history=with_row(state.history, {EVALUATION: first_returns(rollout)}, number))
+
+
+def _networks(training: _Training, state: _State) -> list[PolicyNetwork]:
+    arm = training.arm
+    return [checked_network(training.algorithm.act(arm, agent), arm) for agent in state.agents]

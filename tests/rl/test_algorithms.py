@@ -1,0 +1,68 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from planspace.errors import PlanspaceError, UsageError
+from planspace.rl.algorithm import Algorithm
+from planspace.rl.algorithms import ALGORITHMS, PRESETS, find_algorithm
+from planspace.rl.algorithms.on_policy import MODERN, OnPolicy
+from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.trpo import TRPO
+from planspace.rl.config import TrainConfig, with_settings
+from planspace.rl.saved_settings import read_settings
+from planspace.rl.training import train_policies
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
+
+
+def test_the_shipped_algorithms_fit_the_protocol() -> None:
+    for (name, _), algorithm in PRESETS.items():
+        assert isinstance(algorithm, Algorithm) and algorithm.name == name  # pyright: ignore
+    assert {"trpo": TRPO(), "ppo": PPO()} == ALGORITHMS  # the defaults of a class are the preset `paper`
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(UsageError, match="unknown algorithm 'tpro'. Did you mean 'trpo'?"):
+        find_algorithm("tpro")
+    with pytest.raises(UsageError, match="unknown preset of ppo 'old'.* Known: modern, paper"):
+        find_algorithm("ppo", "old")
+    with pytest.raises(UsageError, match="unknown hyper-parameter 'lam'"):
+        with_settings(TRPO(), lam=0.9)
+
+
+def test_hyperparameters_are_changed_by_name_wherever_they_are() -> None:
+    changed = with_settings(TRPO(), gae_lambda=0.9, max_kl=0.5)
+    assert changed == TRPO(OnPolicy(gae_lambda=0.9), max_kl=0.5)
+    assert TrainConfig().with_hyperparameters(gae_lambda=0.9).algorithm == TRPO(OnPolicy(gae_lambda=0.9))
+
+
+@pytest.mark.parametrize("algorithm", PRESETS.values(), ids=map("-".join, PRESETS))
+def test_a_saved_run_tells_its_settings(algorithm: Algorithm, tmp_path: Path) -> None:
+    config = TrainConfig(algorithm, obs="trig", steps=1, num_seeds=1, seed=7, batch_steps=100)
+    train_policies("cartpole", config, out=tmp_path)
+    assert read_settings(json.loads((tmp_path / "config.json").read_text())) == ("cartpole", config)
+
+
+def test_settings_of_version_0_1_0_are_read() -> None:
+    saved = json.loads((GOLDEN / "config.json").read_text())
+    assert read_settings(saved) == ("cartpole", TrainConfig(z="augment", steps=8000, num_seeds=2))
+    learner = saved["learner"] | {"gae_lambda": 0.95, "critic": "mlp", "normalise_obs": True}
+    learner |= {"bootstrap_timeout": True, "trpo": saved["learner"]["trpo"] | {"max_kl": 0.02}}
+    modern = saved | {"preset": "modern", "learner": learner}
+    assert read_settings(modern)[1].algorithm == TRPO(MODERN, max_kl=0.02)
+    ppo = {"epochs": 3, "clip": 0.1, "of_steps": True}
+    other = saved | {"algo": "ppo", "learner": {"trace": 0.5, "hidden": [8], "ppo": ppo}}
+    expected = with_settings(PPO(), gae_lambda=0.5, hidden=(8,), **ppo)
+    assert read_settings(other)[1].algorithm == expected
+
+
+def test_settings_that_are_not_whole_are_refused() -> None:
+    saved = json.loads((GOLDEN / "config.json").read_text())
+    with pytest.raises(UsageError, match="unknown algorithm 'sac'"):
+        read_settings(saved | {"algo": "sac"})
+    with pytest.raises(UsageError, match="trained by 'mine:CEM', which planspace does not ship"):
+        read_settings({"task": "cartpole", "algorithm": {"name": "mine:CEM"}})
+    for broken in ({}, {"task": "cartpole"}, {"task": "cartpole", "algorithm": 3}):
+        with pytest.raises(PlanspaceError, match="not the settings of a training run"):
+            read_settings(broken)

@@ -1,0 +1,125 @@
+"""Evaluations, and interrupts at any moment of training."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from planspace import load_policy
+from planspace.envs.batch import TaskBatch
+from planspace.rl import training
+from planspace.rl.arm import Arm
+from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.training import train_policies
+from planspace.storage.arrays import read_arrays_and_metadata
+from planspace.storage.checkpoint import FILE
+from planspace.tasks.catalog import TASKS
+
+TASK = "cartpole-swingup"
+CONFIG = TrainConfig(num_seeds=2, steps=3 * BATCH_STEPS)
+
+
+def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train_policies(TASK, CONFIG).history
+    iterate, calls = training._iterate, []
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(args[-1])
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return iterate(*args)
+
+    monkeypatch.setattr(training, "_iterate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train_policies(TASK, CONFIG, out=tmp_path / "cut")
+    cut = train_policies(TASK, CONFIG, out=tmp_path / "cut").history
+    assert calls == [0, 1, 2, 2]  # the interrupted iteration is repeated, nothing else
+    for key, expected in whole.items():
+        np.testing.assert_array_equal(expected, cut[key])
+    assert len((tmp_path / "cut" / "log.jsonl").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("name", ["append_rows", "save_checkpoint"])
+def test_an_interrupt_while_saving_leaves_each_row_once(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, interrupts = getattr(training, name), []
+
+    def interrupted(*args: object, **options: object) -> None:
+        work(*args, **options)
+        if not interrupts:
+            interrupts.append(KeyboardInterrupt())
+            raise interrupts[0]
+
+    monkeypatch.setattr(training, "CHECKPOINT_EVERY", 1)
+    monkeypatch.setattr(training, name, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train_policies(TASK, CONFIG, out=tmp_path)
+    assert read_arrays_and_metadata(tmp_path / FILE)[1]["iteration"] == 1  # finished work is not lost
+    train_policies(TASK, CONFIG, out=tmp_path)
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows] == [1, 2, 3]
+
+
+def test_evaluations_do_not_change_training() -> None:
+    config = replace(CONFIG, steps=5 * BATCH_STEPS)
+    often = train_policies(TASK, replace(config, eval_every=2)).history
+    assert often["eval_steps"].tolist() == [2 * BATCH_STEPS, 4 * BATCH_STEPS, 5 * BATCH_STEPS]
+    assert np.isfinite(often["eval_return"]).all()
+    never = train_policies(TASK, replace(config, eval_every=0)).history
+    assert never["eval_steps"].tolist() == [5 * BATCH_STEPS]
+    for key in often.keys() - {"eval_steps", "eval_return"}:
+        np.testing.assert_array_equal(often[key], never[key])
+    np.testing.assert_array_equal(often["eval_return"][-1], never["eval_return"][-1])
+
+
+def test_an_interrupted_evaluation_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(CONFIG, eval_every=2)
+    whole = train_policies(TASK, config).history
+    evaluate, calls = training._evaluate, []
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(args[-1])
+        if len(calls) in (1, 3):
+            raise KeyboardInterrupt
+        return evaluate(*args)
+
+    monkeypatch.setattr(training, "_evaluate", interrupted)
+    for _ in range(2):  # in the first evaluation, and in the last
+        with pytest.raises(KeyboardInterrupt):
+            train_policies(TASK, config, out=tmp_path / "cut")
+    cut = train_policies(TASK, config, out=tmp_path / "cut").history
+    assert calls == [0, 0, 1, 1]
+    for key, expected in whole.items():
+        np.testing.assert_array_equal(expected, cut[key])
+
+
+def test_an_evaluation_ignores_exploration_and_is_the_same_for_every_seed() -> None:
+    observer = Observer(TASKS[TASK], "raw", "none", "both", num_seeds=2)
+    arm = Arm(CONFIG, observer, TaskBatch(observer.task, 2 * 20))
+    with ThreadPoolExecutor(1) as threads:
+        run = training._Training(arm, threads)
+        state = training._init(run)
+        first = state.agents[0]
+        wild = eqx.tree_at(lambda x: x.policy.log_std, first, jnp.full(1, 2.0))
+        state = state._replace(agents=(first, wild))  # the same mean, another standard deviation
+        returns = training._evaluate(run, state, 0).history[training.EVALUATION][0]
+    assert returns[0] == returns[1]
+
+
+def test_an_evaluation_that_is_not_finite_is_saved_as_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "first_returns", lambda rollout: np.array([np.nan, -3.0]))
+    train_policies(TASK, replace(CONFIG, steps=1), out=tmp_path / "run")
+    policy = load_policy(tmp_path / "run")
+    assert policy.about["returns"] == [None, -3.0] and policy.seed == 1
