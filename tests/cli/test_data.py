@@ -23,7 +23,7 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     assert call(capsys, "demos", "plot", demos, "--out", tmp_path / "plot")[0] == 0
     assert (tmp_path / "plot" / "demos.svg").exists()
     code, out, _ = call(capsys, "embed", demos, "--out", embedding, "--steps", 50, "--seeds", 2)
-    assert code == 0 and "straightness" in out
+    assert code == 0 and "straightness" in out, _
     code, out, _ = call(capsys, "measure", embedding, tmp_path / "back", "--json")
     for part in json.loads(out)["splits"].values():
         assert {"straightness", "speed_variation", "midpoint_error"} < set(part["embedding"])

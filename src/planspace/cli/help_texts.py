@@ -26,9 +26,10 @@ def set_help_texts(kind: Any, default: Any = None) -> None:
         return
     texts = _field_docstrings(kind)
     for field in fields(kind):
+        value = getattr(default, field.name, field.default)
         if field.name in texts:
-            field.metadata = {**field.metadata, HELP: texts[field.name]}  # pyright: ignore
-        value = getattr(default, field.name, None)
+            negation = "Switch off: " if value is True else ""  # the option is --no-NAME
+            field.metadata = {**field.metadata, HELP: negation + texts[field.name]}  # pyright: ignore
         set_help_texts(type(value) if is_dataclass(value) else field.type, value)
 
 
