@@ -23,14 +23,14 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     assert call(capsys, "demos", "plot", demos, "--out", tmp_path / "plot")[0] == 0
     assert (tmp_path / "plot" / "demos.svg").exists()
     code, out, _ = call(capsys, "embed", demos, "--out", embedding, "--steps", 50, "--seeds", 2)
-    assert code == 0 and "straightness" in out, _
+    assert code == 0 and "straightness" in out
     code, out, _ = call(capsys, "measure", embedding, tmp_path / "back", "--json")
     for part in json.loads(out)["splits"].values():
         assert {"straightness", "speed_variation", "midpoint_error"} < set(part["embedding"])
         assert set(part["constant"]) == set(part["raw_state"]) == set(part["embedding"])
     train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
-    assert code == 0 and "--steps 4001 rounded to 8000" in err
+    assert code == 0 and "--steps 4001 is rounded to 8000: whole iterations" in err
     assert "return, last iteration  mean " in out and "return, evaluation      mean " in out
     assert (run / "curve.svg").exists()
     assert call(capsys, "curves", run, run, "--out", tmp_path / "curves")[0] == 0

@@ -4,6 +4,8 @@ A file changes the defaults that tyro starts from, so that `--help` shows its va
 command line still win. The options that decide which settings exist, such as `--preset`, are read first.
 """
 
+import contextlib
+import json
 import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -81,9 +83,10 @@ def read_config(path: str | Path) -> dict[str, Any]:
     """
     data = read_bytes(Path(path), most=MAX_CONFIG_BYTES, may_be_link=True)
     try:
-        settings = yaml.safe_load(data)  # JSON is YAML, too
+        settings = json.loads(data) if Path(path).suffix == ".json" else yaml.safe_load(data)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise PlanspaceError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+        kind = "JSON" if Path(path).suffix == ".json" else "YAML"
+        raise PlanspaceError(f"{path} is not valid {kind}: {' '.join(str(error).split())}") from error
     if not isinstance(settings, dict) or not all(isinstance(key, str) for key in settings):
         raise PlanspaceError(f"{path} must be a mapping of settings to values.")
     return settings
@@ -135,8 +138,9 @@ def _converted(value: Any, hint: Any, where: str) -> Any:
         return value
     if origin is tuple:
         return _converted_tuple(value, options, where)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if hint is float and isinstance(value, int | str) and not isinstance(value, bool):
+        with contextlib.suppress(ValueError):  # YAML reads 1e-5 as text
+            return float(value)
     if hint is Path and isinstance(value, str):
         return Path(value)
     if hint in (bool, int, float, str) and type(value) is hint:

@@ -11,35 +11,59 @@ from planspace.errors import UsageError
 
 @dataclass(frozen=True)
 class Play:
-    """Watch a trained policy: deterministic episodes, their returns, and a film if asked for."""
+    """Play a trained policy and film it.
+
+    Episodes are deterministic: every action is the mean of the policy.
+    """
 
     run: Positional[Annotated[Path, arg(metavar="RUN")]]
-    """The folder of a `planspace train`."""
+    """The folder of a `planspace train`, or of a `planspace run` with policies of several arms."""
+    arm: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = ""
+    """Which arm of a `planspace run` to play; without it the arms are listed."""
+    task: Annotated[str, arg(metavar="module.py:NAME", help_behavior_hint="(default: the shipped one)")] = ""
+    """Your own Task, if the policy was trained on one."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
-    """Which of its seeds; best: the one that earned most in the last evaluation."""
+    """The seed to play. best: the seed with the highest return in the last evaluation."""
     episodes: Annotated[int, arg(metavar="N")] = 10
-    """How many episodes."""
+    """Number of episodes."""
     start_seed: int = 1000
-    """The seed of the first episode's start; the others follow it."""
+    """Seed of the first episode's start. The other episodes use the seeds after it."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """Film them: FILE.gif, or FILE.mp4 (extra `video`)."""
+    """Film the episodes as FILE.gif, or as FILE.mp4 (extra `video`)."""
 
     def __call__(self) -> None:
-        """Plays, prints the returns and writes the film."""
+        """Play, print the returns, and save the film."""
+        from planspace.cli.config_files import load_or_name
         from planspace.demos.render import FilmConfig, check_film, render_demos
         from planspace.rl.play import play
         from planspace.rl.saved_policy import load_policy
+        from planspace.tasks.catalog import find_task
 
-        if self.episodes < 1 or self.start_seed < 0:
-            raise UsageError("--episodes must be at least 1, --start-seed at least 0.")
-        if self.seed != "best" and not (self.seed.isascii() and self.seed.isdigit()):
-            raise UsageError(f"--seed is best or a number, got {self.seed!r}.")
+        self._check()
         if self.video is not None:
             check_film(self.video)
-        policy = load_policy(self.run, "best" if self.seed == "best" else int(self.seed))
-        returns, demos = play(policy, self.episodes, self.start_seed)
-        print(f"seed {policy.seed}, {len(returns)} episodes of {policy.about['env_id']}")
+        policy = load_policy(self._chosen_run(), "best" if self.seed == "best" else int(self.seed))
+        task = find_task(load_or_name(self.task)) if self.task else None
+        returns, demos = play(policy, self.episodes, self.start_seed, task)
+        print(f"seed {policy.seed}, {len(returns)} episodes of {policy.about['task']}")
         print(f"return: mean {returns.mean():.1f}, worst {returns.min():.1f}, best {returns.max():.1f}")
         if self.video is not None:
             render_demos(demos, self.video, FilmConfig())
             print(self.video)
+
+    def _check(self) -> None:
+        for name, least in (("episodes", 1), ("start_seed", 0)):
+            if (value := getattr(self, name)) < least:
+                raise UsageError(f"`--{name.replace('_', '-')}` must be at least {least}, got {value}.")
+        if self.seed != "best" and not (self.seed.isascii() and self.seed.isdigit()):
+            raise UsageError(f"`--seed` must be best or a number, got {self.seed!r}.")
+
+    def _chosen_run(self) -> Path:
+        from planspace.rl.saved_policy import find_runs
+
+        runs = find_runs(self.run)
+        if self.arm and self.arm in runs:
+            return runs[self.arm]
+        if self.arm or len(runs) > 1:
+            raise UsageError(f"which arm? Give --arm with one of {', '.join(runs)}.")
+        return next(iter(runs.values()), self.run)

@@ -1,113 +1,113 @@
 """`planspace train`."""
 
 import sys
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from planspace.cli.config_files import (
+    ConfigFile,
+    given_option,
+    load_or_name,
+    named_in_file,
+    read_config,
+    with_settings,
+)
 from planspace.errors import PartialResult, UsageError
-from planspace.rl.algorithms.on_policy import CriticName
-from planspace.rl.config import ShapingType, ZMode, ZTarget
+from planspace.rl.algorithm import HOW_TO, Algorithm
+from planspace.rl.algorithms import ALGORITHMS, find_algorithm
+from planspace.rl.config import TrainConfig
+from planspace.rl.saved_settings import read_settings
+from planspace.seams import check_fits
 from planspace.storage.tracking import TrackerName
-from planspace.tasks.observation_types import ObservationType, RewardType
+from planspace.tasks.catalog import TASKS, find_task
 
-PRESETS_OWN = "(default: the preset's)"
+if TYPE_CHECKING:
+    from planspace.rl.trained import TrainedPolicies
+    from planspace.tasks.task import Task
+
+RECORDED = ("task", "task_sha256", "embeddings", "versions", "preset")
+"""What a run's config.json records besides settings."""
+TASK_HELP = f"One of {', '.join(sorted(TASKS))}; or module.py:NAME for your own Task."
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train policies on a task: all seeds at once, in one program."""
+    """Train policies on a task, all seeds at once."""
 
-    out: Annotated[Path, arg(metavar="DIR")]
+    task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP)]] = ""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The run's folder. The same command continues an interrupted run."""
-    task: Positional[Annotated[str, arg(metavar="TASK")]] = ""
-    """A task's name; without it the names are listed."""
-    algo: Literal["trpo", "ppo"] = "trpo"
-    """The algorithm."""
-    preset: Literal["paper", "modern"] = "paper"
-    """paper: what the paper and the runs of 2020 did. modern: observations standardised as they come, what
-    lies beyond the time limit counted; PPO by minibatches of steps."""
-    obs: ObservationType = "raw"
-    """raw: the state as it is. wrapped: angles on a circle within (-pi, pi]. trig: raw with sin and cos of
-    its angles beside it."""
-    z: ZMode = "none"
-    """augment: the observation and z. replace: z alone."""
-    z_to: ZTarget = "both"
-    """Who sees z."""
-    reward: RewardType = "dense"
-    """sparse: 1 at the goal, 0 elsewhere. 2020: the swing-up's as the code of 2020 had it."""
-    shaping: ShapingType = "none"
-    """Reward coming nearer to the goal, too: by the distance in z, or between raw states. The returns that
-    are reported are the task's own."""
-    shaping_scale: Annotated[float, arg(metavar="X")] = 10.0
-    """What the way from a mean start to the goal is worth in return."""
+    algo: Annotated[str, arg(metavar="{" + ",".join(ALGORITHMS) + "}|module.py:NAME")] = "trpo"
+    """The algorithm, or module.py:NAME for your own. Its settings are options, too."""
+    preset: Annotated[str, arg(metavar="{paper,modern}")] = "paper"
+    """Defaults of the algorithm's settings. paper: the paper and the runs of 2020. modern: standardised
+    observations, a value beyond the time limit, and minibatches of steps for PPO."""
     embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
-    """What makes z; needed where there is z. Several are taken in turn: seed s takes number s modulo how many
-    there are, so that the spread over seeds is that over embeddings as well."""
-    seeds: Annotated[int, arg(metavar="N")] = 5
-    """How many seeds."""
-    steps: Annotated[int, arg(metavar="N")] = 960_000
-    """Environment steps for each seed; rounded up to whole iterations of 4000 steps (of the whole episodes
-    that come nearest to that)."""
-    seed: int = 0
-    """The first seed; the others follow it."""
-    critic: Annotated[CriticName | None, arg(metavar="{linear,mlp}", help_behavior_hint=PRESETS_OWN)] = None
-    """linear: ridge regression on simple features. mlp: two layers of 32 units."""
-    hidden: Annotated[tuple[int, ...] | None, arg(metavar="N ...", help_behavior_hint=PRESETS_OWN)] = None
-    """Units of the policy's hidden layers: a wider policy is a control for what z adds."""
-    match_z: Annotated[int, arg(metavar="N")] = 0
-    """Make policy and mlp critic so wide that they have as many parameters as with z of N numbers."""
-    layer_norm: bool = False
-    """Normalise the policy's hidden layers: another control."""
-    eval_every: Annotated[int, arg(metavar="N")] = 25
-    """Iterations (of 4000 steps) between evaluations by deterministic episodes; 0: at the end alone."""
+    """Embedding folders that provide z. With several, seed s uses number s modulo their count, so that the
+    spread over seeds includes the spread over embeddings."""
     track: UseAppendAction[Annotated[tuple[TrackerName, ...], arg(metavar="{tensorboard,wandb}")]] = ()
-    """Show the curves there, too (extra `track`): TensorBoard in DIR/tensorboard; Weights & Biases, offline
-    in DIR/wandb where nobody is logged in. history.safetensors and log.jsonl have them always."""
+    """Also write the curves for TensorBoard (DIR/tensorboard) or Weights & Biases (extra `track`). W&B works
+    offline in DIR/wandb unless you are logged in. history.safetensors and log.jsonl are always written."""
+    config_file: ConfigFile = None
+    config: TrainConfig = field(default_factory=TrainConfig)
+
+    @classmethod
+    def default(cls, arguments: Sequence[str]) -> "Train":
+        """The defaults that --algo, --preset and --config ask for."""
+        path = given_option(arguments, "--config")
+        file = {} if path is None else read_config(path)
+        algo = given_option(arguments, "--algo") or named_in_file(file, "algorithm") or "trpo"
+        preset = given_option(arguments, "--preset") or file.get("preset", "paper")
+        named = load_or_name(algo)
+        algorithm = find_algorithm(named, preset) if isinstance(named, str) else named
+        config = TrainConfig(check_fits(algorithm, Algorithm, HOW_TO))
+        if "learner" in file:  # written by version 0.1.0
+            _, config = read_settings(file)
+        elif path is not None:
+            config = with_settings(config, file, path, ignored=RECORDED)
+        return cls(algo=algo, preset=preset, config=config)
 
     def __call__(self) -> None:
-        """Trains and prints the returns at the end."""
+        """Train, draw the learning curve, and print the returns at the end."""
         from planspace.embed.embedding import load_embedding
-        from planspace.figures.learning_curves import plot_curves
-        from planspace.figures.style import save_figure
-        from planspace.rl.algorithms import find_algorithm
-        from planspace.rl.config import TrainConfig, with_settings
-        from planspace.rl.history import frozen_seeds
-        from planspace.rl.learning_curve import learning_curve
-        from planspace.rl.training import num_episodes, train_policies
+        from planspace.rl.training import train_policies
         from planspace.storage.compiled import use_compilation_cache
-        from planspace.tasks.catalog import TASKS, find_task
 
         if not self.task:
-            raise UsageError(f"which task? There are {', '.join(sorted(TASKS))}.")
-        given = {f.name: getattr(self, f.name) for f in fields(TrainConfig) if hasattr(self, f.name)}
-        chosen = {
-            "critic": self.critic,
-            "hidden": self.hidden,
-            "match_z": self.match_z or None,
-            "layer_norm": self.layer_norm or None,
-        }
-        changes = {name: value for name, value in chosen.items() if value is not None}
-        algorithm = with_settings(find_algorithm(self.algo, self.preset), **changes)
-        config = TrainConfig(algorithm, **given, num_seeds=self.seeds)
-        task = find_task(self.task)
-        rounded = config.iterations * num_episodes(task, config.batch_steps) * task.horizon
-        if rounded != self.steps:
-            print(f"--steps {self.steps} rounded to {rounded}, whole iterations", file=sys.stderr)
+            raise UsageError(f"which task? {TASK_HELP}")
+        task = find_task(load_or_name(self.task))
+        if self.out is None:
+            raise UsageError("`--out DIR` is required: the folder of the run.")
+        self._print_rounding(task)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
-        history = train_policies(task, config, embedding=embeddings, out=self.out, track=self.track).history
+        trained = train_policies(task, self.config, embedding=embeddings, out=self.out, track=self.track)
+        self._draw_curve(trained, self.out)
+        if diverged := [str(row.seed) for row in trained.returns if row.diverged]:
+            raise PartialResult(
+                f"seed {', '.join(diverged)} diverged and was frozen with the policy that it had. The other "
+                "seeds went on, and everything is saved."
+            )
+
+    def _print_rounding(self, task: "Task") -> None:
+        from planspace.rl.training import num_episodes
+
+        rounded = self.config.iterations * num_episodes(task, self.config.batch_steps) * task.horizon
+        if rounded != self.config.steps:
+            print(f"--steps {self.config.steps} is rounded to {rounded}: whole iterations", file=sys.stderr)
+
+    def _draw_curve(self, trained: "TrainedPolicies", out: Path) -> None:
+        from planspace.figures.learning_curves import plot_curves
+        from planspace.figures.style import save_figure
+        from planspace.rl.learning_curve import learning_curve
+
+        history = trained.history
         for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
             last = returns[-1]
             spread = f"worst {last.min():8.1f}   best {last.max():8.1f}"
             print(f"return, {name:<16}mean {last.mean():8.1f}   {spread}")
-        print(
-            save_figure(plot_curves({self.out.name: learning_curve(history)}, self.task), self.out, "curve")
-        )
-        if frozen := frozen_seeds(history, config.seeds):
-            raise PartialResult(
-                f"{frozen}: numbers that are not finite. Each was frozen with the policy it had; the others "
-                "went on, and everything is saved."
-            )
+        print(save_figure(plot_curves({out.name: learning_curve(history)}, trained.task), out, "curve"))

@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
+
+from tyro.conf import arg
 
 from planspace.errors import UsageError, unknown
 from planspace.rl.algorithm import HOW_TO, Algorithm
@@ -39,7 +41,7 @@ class TrainConfig:
     returns leave it out."""
     shaping_scale: float = 10.0
     """Shaping return from a mean start to the goal."""
-    num_seeds: int = 5
+    num_seeds: Annotated[int, arg(aliases=("--seeds",))] = 5
     """Number of seeds."""
     seed: int = 0
     """The first seed; the others follow it."""
