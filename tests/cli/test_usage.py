@@ -61,7 +61,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
         (["train", "cartpole", "--seed", "-1", "--out", "x"], "seed must be at least 0, got -1"),
         (["train", "cartpole", "--hidden", "0", "--out", "x"], "hidden layers need at least one unit each"),
-        (["play", "x", "--video", "x.txt"], "x.txt is no film; give FILE.gif or FILE.mp4"),
+        (["play", "x", "--video", "x.txt"], "x.txt is not a film; give FILE.gif or FILE.mp4"),
         (["export", "e"], "Missing from planspace export: FILE"),
         (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
     ],

@@ -14,7 +14,7 @@ from planspace.physics.rendering import rendering_backend
 from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
 
-# ffmpeg is started by a fork, before which JAX, imported by other tests, warns
+# JAX, which other tests import, warns when ffmpeg is started by a fork
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork\\(\\) was called:RuntimeWarning")
 
 
@@ -23,7 +23,7 @@ SMALL = FilmConfig(episodes=2, fps=20, width=64, height=48)
 
 @pytest.fixture(scope="module")
 def opengl() -> str:
-    """A backend that draws here."""
+    """A backend that works on this machine."""
     backend = rendering_backend()
     if backend is None:
         pytest.skip("no OpenGL backend works here")
@@ -31,7 +31,7 @@ def opengl() -> str:
 
 
 def moving_cart(info: StateInfo | None = None) -> Demos:
-    """A cart with its pole up: one second from left to right, then half a second back."""
+    """A cart with its pole up that moves from left to right in one second and back in half a second."""
     states = np.zeros((51, 4))
     states[:, 0] = np.linspace(-0.8, 0.8, 51)
     there = recorded(states, np.zeros((50, 1)), np.arange(51) * 0.02, 0)
@@ -40,7 +40,7 @@ def moving_cart(info: StateInfo | None = None) -> Demos:
 
 
 def blue_column(picture: np.ndarray) -> float:
-    """Where the blue cart is, from 0 at the left edge to 1 at the right."""
+    """Position of the blue cart, from 0 at the left edge to 1 at the right edge."""
     r, g, b = (picture[..., i].astype(int) for i in range(3))
     columns = np.nonzero((b - r > 40) & (b - g > 20))[1]
     assert len(columns)
@@ -58,13 +58,13 @@ def test_a_gif_plays_the_states_in_real_time(opengl: str, tmp_path: Path) -> Non
             film.seek(i)
             places.append(blue_column(np.asarray(film.convert("RGB"))))
             durations.append(film.info["duration"])
-    # 20 pictures a second: 21 of the first second with its end, 11 of the half second
+    # at 20 frames per second: 21 frames in the first second, including its end, then 11
     assert sum(durations) == (21 + 11) * 50
     assert places[0] < 0.35 and places[20] > 0.65 and places[-1] < 0.35
-    assert (np.diff(places[:21]) >= 0).all()  # it moves, and in the right direction
+    assert (np.diff(places[:21]) >= 0).all()  # it moves to the right
 
 
-def test_pictures_stand_upright(opengl: str, tmp_path: Path) -> None:
+def test_frames_are_upright(opengl: str, tmp_path: Path) -> None:
     from PIL import Image
 
     render_demos(moving_cart(), tmp_path / "film.gif", replace(SMALL, episodes=1))
@@ -72,7 +72,7 @@ def test_pictures_stand_upright(opengl: str, tmp_path: Path) -> None:
         picture = np.asarray(film.convert("RGB")).astype(int)
     orange = np.nonzero(picture[..., 0] - picture[..., 2] > 60)[0]
     blue = np.nonzero(picture[..., 2] - picture[..., 0] > 40)[0]
-    assert orange.mean() < blue.mean()  # rows are counted from above: the pole is up
+    assert orange.mean() < blue.mean()  # rows are counted from the top: the pole is above the cart
 
 
 def test_an_mp4(opengl: str, tmp_path: Path) -> None:
@@ -83,27 +83,27 @@ def test_an_mp4(opengl: str, tmp_path: Path) -> None:
     assert seconds == pytest.approx(1.6, abs=0.06)
 
 
-def test_a_model_without_a_camera_is_seen_from_a_free_one(opengl: str, tmp_path: Path) -> None:
+def test_a_model_without_a_camera_gets_a_free_camera(opengl: str, tmp_path: Path) -> None:
     info = state_info(load_problem("cartpole-swingup"))
     lines = [line for line in info.mjcf.splitlines() if "<camera" not in line]
     info = replace(info, mjcf="\n".join(lines))
     render_demos(moving_cart(info), tmp_path / "film.gif", replace(SMALL, episodes=1, fps=2))
     assert (tmp_path / "film.gif").stat().st_size > 0
-    with pytest.raises(UsageError, match="the model has no camera; omit --camera"):
+    with pytest.raises(UsageError, match="the model has no camera; leave out --camera"):
         render_demos(moving_cart(info), tmp_path / "no.gif", replace(SMALL, camera="side"))
 
 
 @pytest.mark.parametrize(
     ("file", "change", "message"),
     [
-        ("film.avi", {}, "is no film; give FILE.gif or FILE.mp4"),
-        ("film.mp4", {"width": 63}, "needs an even width and height, got 63 x 48"),
+        ("film.avi", {}, "is not a film; give FILE.gif or FILE.mp4"),
+        ("film.mp4", {"width": 63}, "must have an even width and height, got 63 x 48"),
         ("film.gif", {"camera": "sied"}, "unknown camera 'sied'. Did you mean 'side'"),
         ("film.gif", {"fps": 0}, "must be at least 1"),
-        ("film.gif", {"fps": 101}, "can be at most 100"),
+        ("film.gif", {"fps": 101}, "must be at most 100"),
     ],
 )
-def test_wrong_wishes_are_refused(file: str, change: dict, message: str, tmp_path: Path) -> None:
+def test_invalid_settings_are_refused(file: str, change: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=message):
         render_demos(moving_cart(), tmp_path / file, replace(SMALL, **change))
     assert list(tmp_path.iterdir()) == []
@@ -115,7 +115,7 @@ def test_a_dataset_without_a_model_cannot_be_filmed(tmp_path: Path) -> None:
         render_demos(moving_cart(bare), tmp_path / "film.gif", SMALL)
 
 
-def test_where_nothing_draws_the_error_says_what_to_do(tmp_path: Path, monkeypatch) -> None:
+def test_error_without_opengl_says_what_to_do(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     with pytest.raises(
         PlanspaceError, match=r"no OpenGL backend works here; unset MUJOCO_GL.*libosmesa|OSMesa"
@@ -124,7 +124,7 @@ def test_where_nothing_draws_the_error_says_what_to_do(tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
+def test_error_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(PlanspaceError, match=r"pip install 'planspace\[video\]'"):
         render_demos(moving_cart(), tmp_path / "film.mp4", SMALL)

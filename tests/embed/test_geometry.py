@@ -167,7 +167,7 @@ def test_demos_of_other_states_are_refused(embedding: Embedding) -> None:
     demos = demos_of(np.zeros((20, 2)) + np.arange(20)[:, None])
     with pytest.raises(
         PlanspaceError,
-        match=r"states \(slider, .*\), 4 numbers, .*have \(x, y\), 2 numbers: 'slider' is missing",
+        match=r"the 4 states \(slider, .*\) of .* the 2 states \(x, y\): 'slider' is missing",
     ):
         measure(embedding, demos, np.array([0]))
 

@@ -124,8 +124,8 @@ def _check_numbers(part: Demos, first: int, folder: Path) -> None:
             large = values[np.abs(values) > LARGEST_NUMBER]  # unknown goals and costs are NaN
             if len(large):
                 raise PlanspaceError(
-                    f"{folder}: demonstration {first + i} has a {name} with {large[0]:.3g}; numbers "
-                    f"must not exceed {LARGEST_NUMBER:.0e}."
+                    f"{folder}: demonstration {first + i} has a {name} with the value "
+                    f"{large[0]:.3g}; absolute values must not exceed {LARGEST_NUMBER:.0e}."
                 )
 
 

@@ -1,4 +1,4 @@
-"""Demonstrations as a film: the robot in its recorded states, in real time."""
+"""Film the robot in its recorded states, in real time."""
 
 import importlib
 import io
@@ -27,49 +27,49 @@ Image = UInt8[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True)
 class FilmConfig:
-    """How demonstrations are filmed."""
+    """Settings of a film."""
 
     episodes: int = 3
-    """How many demonstrations, from the first on, one after another."""
+    """Number of demonstrations, starting with the first, shown one after another."""
     fps: int = 30
-    """Pictures a second."""
+    """Frames per second."""
     width: int = 480
-    """Width of the picture [pixels]."""
+    """Width of a frame [pixels]."""
     height: int = 360
-    """Height of the picture [pixels]."""
+    """Height of a frame [pixels]."""
     camera: str = ""
-    """One of the model's cameras; by default its first, or a free camera where it has none."""
+    """Name of a camera. By default the first camera of the model, or a free camera if the model has none."""
 
     def __post_init__(self) -> None:
-        """Refuses what no film can be made of."""
+        """Check the numbers."""
         if min(self.episodes, self.fps, self.width, self.height) < 1:
             raise UsageError("--episodes, --fps, --width and --height must be at least 1.")
         if self.fps > 100:
-            raise UsageError(f"--fps can be at most 100, the most a GIF can show; got {self.fps}.")
+            raise UsageError(f"--fps must be at most 100, the limit of GIF, got {self.fps}.")
 
 
 def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
-    """Films demonstrations.
+    """Film demonstrations.
 
     Args:
         demos: the demonstrations, with a model.
-        file: the GIF or MP4 to write.
-        config: what is filmed, and how.
+        file: the GIF or MP4 file to write.
+        config: the settings.
 
     Raises:
-        UsageError: neither a GIF nor an MP4, an odd size of an MP4, or no such camera.
-        PlanspaceError: there is no model, no OpenGL works here, or the file cannot be written.
+        UsageError: the file is neither GIF nor MP4, an MP4 has an odd size, or the camera does not exist.
+        PlanspaceError: there is no model, no OpenGL backend works, or the file cannot be written.
     """
     suffix = check_film(file)
     if suffix == ".mp4" and (config.width % 2 or config.height % 2):
-        raise UsageError(f"an MP4 needs an even width and height, got {config.width} x {config.height}.")
+        raise UsageError(f"an MP4 must have an even width and height, got {config.width} x {config.height}.")
     encode = _encode_gif if suffix == ".gif" else _mp4_encoder()
     model, space = demos.info.compile()
     poses = [_poses(demos.episode(i), config.fps) for i in range(min(config.episodes, len(demos)))]
     states = space.normalise(np.concatenate(poses))
-    with _camera(model, config) as shoot, progress("render", len(states), unit="picture") as bar:
+    with _camera(model, config) as shoot, progress("render", len(states), unit="frame") as bar:
 
-        def pictures() -> Iterator[Image]:
+        def frames() -> Iterator[Image]:
             data = mujoco.MjData(model)
             for state in states:
                 space.write(state, data.qpos, data.qvel)
@@ -77,24 +77,24 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
                 yield shoot(data)
                 bar.update()
 
-        film = encode(pictures(), config)
+        film = encode(frames(), config)
     write_bytes(file, film)
 
 
 def check_film(file: Path) -> str:
-    """The ending of a film's name.
+    """The suffix of a film, in lower case.
 
     Raises:
-        UsageError: it is not one of a film.
+        UsageError: the file is neither a GIF nor an MP4.
     """
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        raise UsageError(f"{file} is no film; give FILE.gif or FILE.mp4.")
+        raise UsageError(f"{file} is not a film; give FILE.gif or FILE.mp4.")
     return suffix
 
 
 def _poses(episode: Episode, fps: int) -> Float[np.ndarray, "picture state"]:
-    """The states at the instants of the pictures, between those recorded."""
+    """The states at the times of the frames, interpolated linearly."""
     instants = np.arange(int(np.floor(episode.times[-1] * fps)) + 1) / fps
     return np.stack([np.interp(instants, episode.times, x) for x in episode.states.T], axis=1)
 
@@ -104,10 +104,10 @@ def _poses(episode: Episode, fps: int) -> Float[np.ndarray, "picture state"]:
 
 @contextmanager
 def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[mujoco.MjData], Image]]:
-    """Opens a camera on a model.
+    """Open a camera and yield a function that takes a picture of the model.
 
-    `mujoco.Renderer` draws with the backend that MUJOCO_GL named when MuJoCo was first imported, which
-    `import planspace` does; so that one which works can still be taken, its few calls are made here.
+    `mujoco.Renderer` uses the backend that MUJOCO_GL named when MuJoCo was first imported. This function
+    makes the same calls with a backend that works, so it can be chosen later.
     """
     view = _view(model, config.camera)
     backend = rendering_backend()
@@ -129,7 +129,7 @@ def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[muj
         mujoco.mjr_render(whole, scene, context)
         picture = np.empty((config.height, config.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(picture, None, whole, context)
-        return picture[::-1]  # OpenGL counts rows from below
+        return picture[::-1]  # OpenGL counts rows from the bottom
 
     try:
         yield shoot
@@ -139,7 +139,7 @@ def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[muj
 
 
 def _context_class(backend: str) -> Any:
-    """The class MuJoCo draws in; `on` and its like stand for the platform's own, which it has loaded."""
+    """The OpenGL context of a backend; values such as `on` mean the default of the platform."""
     name = backend.lower().strip()
     return importlib.import_module(f"mujoco.{name}").GLContext if name in BACKENDS else mujoco.GLContext
 
@@ -149,7 +149,9 @@ def _view(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     names = [model.camera(i).name for i in range(model.ncam)]
     if name and name not in names:
         raise (
-            unknown("camera", name, names) if names else UsageError("the model has no camera; omit --camera.")
+            unknown("camera", name, names)
+            if names
+            else UsageError("the model has no camera; leave out --camera.")
         )
     if names:
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED
@@ -166,7 +168,7 @@ def _encode_gif(pictures: Iterator[Image], config: FilmConfig) -> bytes:
     from PIL import Image as Pillow
 
     frames = [Pillow.fromarray(picture).quantize(colors=128) for picture in pictures]
-    ends = np.round(np.arange(len(frames) + 1) * 100 / config.fps)  # a GIF counts in hundredths of a second
+    ends = np.round(np.arange(len(frames) + 1) * 100 / config.fps)  # the unit of time in a GIF is 0.01 s
     film = io.BytesIO()
     frames[0].save(
         film,
@@ -184,7 +186,7 @@ def _mp4_encoder() -> Callable[[Iterator[Image], FilmConfig], bytes]:
         import imageio_ffmpeg
     except ImportError as error:
         raise PlanspaceError(
-            "MP4 films need imageio-ffmpeg: pip install 'planspace[video]'; or write a FILE.gif."
+            "an MP4 needs imageio-ffmpeg: pip install 'planspace[video]'; or write a FILE.gif."
         ) from error
 
     def encode(pictures: Iterator[Image], config: FilmConfig) -> bytes:
@@ -201,7 +203,7 @@ def _mp4_encoder() -> Callable[[Iterator[Image], FilmConfig], bytes]:
             except (OSError, RuntimeError) as error:
                 lines = str(error).strip().splitlines()
                 raise PlanspaceError(
-                    f"ffmpeg cannot write an MP4: {lines[-1] if lines else error!r}."
+                    f"ffmpeg cannot write the MP4: {lines[-1] if lines else error!r}."
                 ) from error
 
     return encode

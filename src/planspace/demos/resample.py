@@ -1,6 +1,6 @@
-"""Continuous angles and even time steps: what every imported demonstration is brought to.
+"""Continuous angles and even time steps for imported demonstrations.
 
-Triplets are cut in steps, so a step should last as long everywhere in a dataset.
+Triplets are defined by numbers of steps, so all steps of a dataset should have the same length.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,25 +16,26 @@ from planspace.physics.angles import TWO_PI, unwrap_to_end
 from planspace.physics.quaternion import normalise
 
 UNEVEN = 1e-3
-"""Steps that differ by less than this share of themselves are even: float32 clocks differ by 2e-5."""
-MOST_STATES, MOST_TIMES = 1_000_000, 1000
-"""A demonstration that would get more states than this, and so many times what it has, has wrong times."""
+"""Relative difference below which steps count as even; float32 clocks differ by 2e-5."""
+MAX_STATES, MAX_GROWTH = 1_000_000, 1000
+"""Times are considered wrong if resampling gives more states than `MAX_STATES` and more than `MAX_GROWTH`
+times as many as before."""
 SAME_INSTANT = 1e-6
-"""Two times closer than this share of a step are one."""
+"""Times that differ by less than this fraction of a step are equal."""
 
 
 def with_continuous_angles(episode: Episode, info: StateInfo, *, keep_windings: bool) -> Episode:
-    """Joins the angles a file wrapped, and shifts each to end in (-pi, pi]; quaternions keep their sign.
+    """Unwrap angles, shift each to end in (-pi, pi], and keep the sign of quaternions continuous.
 
     Args:
-        episode: as its file has it.
-        info: says which columns are circular, and which are quaternions.
-        keep_windings: leave continuous angles where they are.
+        episode: the demonstration as recorded.
+        info: the meaning of the states.
+        keep_windings: do not shift angles.
     """
     states = episode.states.copy()
     for column in info.circular_columns:
-        angle = _joined(states[:, column])
-        if not keep_windings and not -np.pi < angle[-1] <= np.pi:  # shifting by 0 would cost the last bit
+        angle = _unwrap_if_wrapped(states[:, column])
+        if not keep_windings and not -np.pi < angle[-1] <= np.pi:  # shifting by 0 could change the last bit
             angle = unwrap_to_end(angle)
         states[:, column] = angle
     for first in info.quaternion_columns:
@@ -43,22 +44,22 @@ def with_continuous_angles(episode: Episode, info: StateInfo, *, keep_windings: 
 
 
 def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> float | None:
-    """The step a dataset is to have, or None if all its steps are as long as each other.
+    """The time step to resample to, or None if all steps already have the same length.
 
-    It is the median of all steps; where there is a model, the nearest whole number (at least 1) of its time
-    steps, so that controls can be replayed.
+    The step is the median of all steps. If there is a model, it is rounded to a multiple of the time step of
+    the model, so that controls can be replayed.
 
     Args:
-        steps: gives the lengths of all steps [s], in parts; all at once they are in memory only where they
-            are not even.
-        info: says which model.
+        steps: returns the lengths of all steps [s], in parts. They are loaded at once only if they are not
+            even.
+        info: the meaning of the states, with the model.
     """
     extremes = np.array([(part.min(), part.max()) for part in steps() if len(part)])
-    if len(extremes) == 0 or _even(extremes, extremes.min()):  # and so from any of them
+    if len(extremes) == 0 or _even(extremes, extremes.min()):  # then any step represents all
         return None
-    every = np.concatenate(list(steps()))
-    step = float(np.median(every))
-    if _even(every, step):
+    all_steps = np.concatenate(list(steps()))
+    step = float(np.median(all_steps))
+    if _even(all_steps, step):
         return None
     if info.mjcf:
         model_step = float(info.compile()[0].opt.timestep)
@@ -67,17 +68,22 @@ def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> f
 
 
 def has_step(episode: Episode, step: float) -> bool:
-    """Whether an episode comes back from `resample` as it is."""
+    """Whether `resample` returns an episode unchanged."""
     return _num_steps(episode, step) == 0 or _even(np.diff(episode.times), step)
 
 
 def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
-    """Brings an episode to a time step; it comes back as it is if it has that step already.
+    """Resample an episode to a time step.
 
-    The new times are counted back from the end, because a demonstration's end, its goal, matters more than
-    a fraction of a step at its start. States are interpolated linearly (angles must be continuous;
-    quaternions are brought back to length one); a control is the one in force when the step begins. An
-    episode shorter than one step stays as it is.
+    The new times are counted back from the end, so that the last state, the goal, is kept. States are
+    interpolated linearly (angles must be continuous) and quaternions are normalised. Each control is the one
+    that is held when the step begins. An episode that already has this step, or is shorter than one step, is
+    returned unchanged.
+
+    Args:
+        episode: the demonstration.
+        info: the meaning of the states.
+        step: the time step [s].
     """
     if has_step(episode, step):
         return episode
@@ -86,17 +92,17 @@ def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
     states = np.stack([np.interp(instants, episode.times, x) for x in episode.states.T], axis=1)
     for first in info.quaternion_columns:
         states[:, first : first + 4] = normalise(states[:, first : first + 4])
-    in_force = np.searchsorted(episode.times, instants[:-1] + SAME_INSTANT * step, side="right") - 1
-    in_force = np.clip(in_force, 0, len(episode.controls) - 1)
-    return replace(episode, states=states, controls=episode.controls[in_force], times=times)
+    held = np.searchsorted(episode.times, instants[:-1] + SAME_INSTANT * step, side="right") - 1
+    held = np.clip(held, 0, len(episode.controls) - 1)
+    return replace(episode, states=states, controls=episode.controls[held], times=times)
 
 
 def _num_steps(episode: Episode, step: float) -> int:
     number = float(episode.times[-1]) / step
-    if not number <= max(MOST_STATES, MOST_TIMES * len(episode.times)):
+    if not number <= max(MAX_STATES, MAX_GROWTH * len(episode.times)):
         raise PlanspaceError(
-            f"demonstration {episode.index} lasts {float(episode.times[-1]):.6g} s, {number:.3g} steps of "
-            f"the {step:.6g} s that all are to have; correct its times, or keep them by --as-recorded."
+            f"demonstration {episode.index} lasts {float(episode.times[-1]):.6g} s, which is {number:.3g} "
+            f"steps of {step:.6g} s; correct its times, or keep them with --as-recorded."
         )
     return int(np.floor(number + SAME_INSTANT))
 
@@ -106,13 +112,13 @@ def _even(steps: np.ndarray, step: float) -> bool:
 
 
 def _one_sign(quaternions: Float[np.ndarray, "time 4"]) -> Float[np.ndarray, "time 4"]:
-    """Q and -q are one rotation; between neighbours of unlike sign there would be a jump."""
+    """Choose between q and -q, which are the same rotation, so that there is no jump between neighbours."""
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     return quaternions * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
 
 
-def _joined(angle: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
-    """A file wrapped its angle if it jumps by more than half a turn and yet never leaves one turn."""
+def _unwrap_if_wrapped(angle: Float[np.ndarray, " time"]) -> Float[np.ndarray, " time"]:
+    """Unwrap an angle that jumps by more than pi although all values lie within one full turn."""
     jumps = np.abs(np.diff(angle)).max(initial=0.0) > np.pi
     wrapped = jumps and np.ptp(angle) <= TWO_PI * (1 + 1e-6)
     return np.unwrap(angle) if wrapped else angle

@@ -1,4 +1,4 @@
-"""Triplets of states along demonstrations, the data the embedding is trained on."""
+"""Triplets of states along demonstrations: the training data of an embedding."""
 
 from collections.abc import Sequence
 
@@ -13,18 +13,18 @@ from planspace.errors import PlanspaceError
 def triplet_rows(
     demos: Demos, episodes: Int[np.ndarray, " demo"], spacings: Sequence[int]
 ) -> Int[np.ndarray, "triplet 3"]:
-    """Every triplet (t - s, t, t + s) of the given spacings within the given demonstrations.
+    """All triplets (t - s, t, t + s) with the given spacings s.
 
     Args:
         demos: the dataset.
-        episodes: which demonstrations.
-        spacings: the steps s.
+        episodes: the numbers of the demonstrations to use.
+        spacings: the spacings s, in steps.
 
     Returns:
-        Row numbers into `demos.states`.
+        Row numbers in `demos.states`.
 
     Raises:
-        PlanspaceError: every demonstration is too short for every spacing.
+        PlanspaceError: all demonstrations are too short for all spacings.
     """
     parts = []
     for i in episodes:
@@ -35,7 +35,7 @@ def triplet_rows(
     if not parts:
         longest = int(np.diff(demos.offsets)[episodes].max())
         raise PlanspaceError(
-            f"the longest demonstration has {longest} states, too short for a triplet at any of the "
+            f"the longest demonstration has {longest} states, too few for a triplet with one of the "
             f"spacings {list(spacings)}: a spacing of s steps needs 2 s + 1 states."
         )
     return np.concatenate(parts)
@@ -46,29 +46,29 @@ def random_triplets(
     episodes: Int[np.ndarray, " demo"],
     num: int,
     rng: np.random.Generator,
-    near: float = 0.0,
+    short_fraction: float = 0.0,
 ) -> Int[np.ndarray, "triplet 3"]:
-    """Triplets a < t < b of any length within the given demonstrations, up to a whole one.
+    """Draw triplets a < t < b that span up to a whole demonstration.
 
-    t is drawn from all states but the first and last of a demonstration, so that each counts the same; a and
-    b then from a share of those before and of those after it. The share is 1, or, for some of the triplets,
-    log-uniform from the nearest state alone to all.
+    The middle t is drawn uniformly from all states except the first and last of each demonstration. Then a
+    and b are drawn uniformly from the states before and after t. For a fraction of the triplets, only the
+    nearest states are used; their number is log-uniform between one state and all of them.
 
     Args:
-        demos: the dataset; of one that is stored only the offsets are kept in memory.
-        episodes: which demonstrations.
-        num: how many triplets.
-        rng: where the draws come from.
-        near: of how many triplets the share is drawn, from 0 to 1.
+        demos: the dataset. If it is a `StoredDemos`, only its offsets are loaded.
+        episodes: the numbers of the demonstrations to use.
+        num: number of triplets.
+        rng: the random generator.
+        short_fraction: fraction of the triplets that use only the nearest states, from 0 to 1.
 
     Returns:
-        Row numbers into `demos.states`, or for `demos.states_at`.
+        Row numbers in `demos.states`, or for `demos.states_at`.
 
     Raises:
         PlanspaceError: no demonstration has three states.
     """
     first, last = demos.offsets[episodes], demos.offsets[episodes + 1] - 1
-    inner = np.cumsum(np.maximum(last - first - 1, 0))  # how many inner states up to each demonstration's end
+    inner = np.cumsum(np.maximum(last - first - 1, 0))  # inner states up to the end of each one
     if len(inner) == 0 or inner[-1] == 0:
         raise PlanspaceError("no demonstration has the 3 states that a triplet needs.")
     drawn = rng.integers(inner[-1], size=num)
@@ -76,8 +76,8 @@ def random_triplets(
     first, last = first[chosen], last[chosen]
     t = last - (inner[chosen] - drawn)
     before, after = t - first, last - t
-    share = np.maximum(before, after) ** -rng.uniform(size=num)
-    share[rng.uniform(size=num) >= near] = 1.0
-    a = rng.integers(t - np.ceil(share * before).astype(int), t)
-    b = rng.integers(t, t + np.ceil(share * after).astype(int)) + 1
+    reach = np.maximum(before, after) ** -rng.uniform(size=num)  # fraction of the states on each side
+    reach[rng.uniform(size=num) >= short_fraction] = 1.0
+    a = rng.integers(t - np.ceil(reach * before).astype(int), t)
+    b = rng.integers(t, t + np.ceil(reach * after).astype(int)) + 1
     return np.stack([a, t, b], axis=1)
