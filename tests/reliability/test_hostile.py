@@ -643,10 +643,13 @@ YAML = {
     "large": ("# " + "x" * (1 << 20), "at most"),
     "more keys than a second reads": ("".join(f"k{i}: 1\n" for i in range(20_000)), "at most"),
     "a key twice": ("model: a\nmodel: b\n", "comes twice"),
-    "keys of another mapping": ("a: &a {b: 1}\nc: {<<: *a}\n", "no plain text"),
-    "a list for a key": ("? [a]\n: 1\n", "no plain text"),
-    "a number for a key": ("1: 2\n", "keys that are names"),
-    "a number with colons without end": ("a: 1" + ":1" * 60_000, "a text of 120001 characters; 4096 may be"),
+    "keys of another mapping": ("a: &a {b: 1}\nc: {<<: *a}\n", "must be plain text"),
+    "a list for a key": ("? [a]\n: 1\n", "must be plain text"),
+    "a number for a key": ("1: 2\n", "must have names as keys"),
+    "a number with colons without end": (
+        "a: 1" + ":1" * 60_000,
+        "a text has 120001 characters; the limit is 4096",
+    ),
     "a model elsewhere": (
         "model: ../secret.xml\njoints: [a]\nstart: [0]\ngoal: [0]\ntolerance: 1\n",
         "outside its folder",

@@ -62,7 +62,7 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("tolerance: 0.1", "", "the key 'tolerance' is missing"),
         ("[slider, hinge]", "[slider, hing]", "unknown joint 'hing'. Did you mean 'hinge'"),
         ("model: cartpole.xml", "model: nowhere.xml", "cannot read .*nowhere.xml"),
-        ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [0.0, 0.0]", "goal has 2 numbers, 4 are needed"),
+        ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [0.0, 0.0]", "goal must have 4 numbers, got 2"),
         ("goal: [0.0,", "goal: [2.0,", "goal reaches outside the joint limits"),
         ("low: [-0.2,", "low: [0.9,", "a box needs low <= high"),
         ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: up", "expected a list of numbers, got 'up'"),
@@ -71,15 +71,15 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("goal: [0.0,", "goal: [.nan,", "expected finite numbers"),
         ("model: cartpole.xml", "model: ../cartpole.xml", "'../cartpole.xml', outside its folder"),
         ("tolerance: 0.1", "tolerance: 0.1\ncost: speed", "unknown cost 'speed'"),
-        ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold: it is true or false, got 'maybe'"),
+        ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold: expected true or false, got 'maybe'"),
         ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: some", "none, all, or a list of pairs"),
         ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: [[cart, floor]]", "unknown geom 'floor'"),
-        ("tolerance: 0.1", "tolerance: 0.1\ngoal_weights: [1.0]", "goal_weights has 1 numbers, 4 are"),
+        ("tolerance: 0.1", "tolerance: 0.1\ngoal_weights: [1.0]", "goal_weights must have 4 numbers, got 1"),
         ("high: [0.2,", "hihg: [0.2,", "start: unknown key of a box 'hihg'. Did you mean 'high'"),
-        ("start: {low: [-0.2, -3.14, -0.1, -0.1], ", "start: {", "start: it has no 'low'"),
+        ("start: {low: [-0.2, -3.14, -0.1, -0.1], ", "start: {", "start: the key 'low' is missing"),
         ("joints: [slider, hinge]", "joints: 5", "joints: expected a list of names, got 5"),
         ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [true, 0, 0, 0]", "goal: expected finite numbers, got True"),
-        ("tolerance: 0.1", "tolerance: -1", "tolerance: it must be positive, got -1"),
+        ("tolerance: 0.1", "tolerance: -1", "tolerance: must be positive, got -1"),
         ("tolerance: 0.1", "tolerance: '0.1'", "tolerance: expected finite numbers, got '0.1'"),
         ("tolerance: 0.1", "tolerance: 1" + 400 * "0", "tolerance: .*too large"),
         ("tolerance: 0.1", "tolerance: 1" + 5000 * "0", "is not valid YAML"),
@@ -91,9 +91,13 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         (
             "tolerance: 0.1",
             "tolerance: 0.1\ngoal_weights: [-1, 1, 1, 1]",
-            "goal_weights: weights are not neg",
+            "goal_weights: weights must not be neg",
         ),
-        ("tolerance: 0.1", "tolerance: 0.1\nvelocity_bound: 0", "velocity_bound: speeds are positive, got 0"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\nvelocity_bound: 0",
+            "speeds must be positive, got 0",
+        ),
         ("tolerance: 0.1", "tolerance: 0.1\nvelocity_bound: [1, 2, 3]", "the joints have 2 velocities"),
         (
             "tolerance: 0.1",
@@ -144,7 +148,7 @@ def test_joints_that_are_not_named_are_held(tmp_path: Path) -> None:
     for name, kept in (("start", "{low: [-3.14, -0.1], high: [3.14, 0.1]}"), ("goal", "[0.0, 0.0]")):
         short = "\n".join(f"{name}: {kept}" if line.startswith(name) else line for line in short.splitlines())
     short = "\n".join(x for x in short.splitlines() if not x.startswith(("feature", "sample")))
-    with pytest.raises(PlanspaceError, match="no actuator is left"):
+    with pytest.raises(PlanspaceError, match="has no actuator that moves these joints"):
         load_problem(write(tmp_path, short))
 
 

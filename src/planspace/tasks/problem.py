@@ -1,4 +1,4 @@
-"""Planning problems: a model, where plans start, where they end, what they must not do and what they cost."""
+"""Planning problems: a model, where plans start and end, which states are allowed, and what a plan costs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -15,97 +15,103 @@ from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
 
 IDLE_COST = 0.1
-"""Effort counts a second of rest like a tenth of a second at full control, so that plans end."""
+"""With the cost `effort`, a second at rest costs this fraction of one at full control, so that plans end."""
 START_DRAWS = 1000
-"""So many starts are drawn before a problem is said to have none that is valid."""
+"""Draws of a start or a goal before a problem is reported to have no valid one."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A box of states; a point where low equals high."""
+    """A box of states; a single state if low equals high."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]
 
     def sample(self, rng: np.random.Generator) -> Float[np.ndarray, " state"]:
-        """Draws a state uniformly."""
+        """Draw a state uniformly from the box."""
         return rng.uniform(self.low, self.high)
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where one plan is to end: a box about a state, and how far from it still counts as arrived."""
+    """The goal region of one plan: a box around a state, and the distance from it that is tolerated."""
 
     space: StateSpace
     center: Float[np.ndarray, " state"]
     half: Float[np.ndarray, " tangent"]
-    """Half the width of the box in each direction; zero for a state."""
+    """Half the width of the box in each direction; zero for a single state."""
     weights: Float[np.ndarray, " tangent"]
-    """How much each number counts; zero where any value will do."""
+    """Weight of each number of the difference; zero where every value is accepted."""
     tolerance: float
+    """A state is in the goal region if its distance is at most this."""
 
     def distance(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch"]:
-        """Weighted sum of how far each number lies outside the box."""
+        """Return the weighted sum of the distances by which each number lies outside the box."""
         outside = np.abs(self.space.difference(states, self.center)) - self.half
         return np.asarray(np.maximum(outside, 0.0) @ self.weights)
 
     def reached(self, states: Float[np.ndarray, "*batch state"]) -> np.ndarray:
-        """Whether each state lies in the goal region."""
+        """Return whether each state lies in the goal region."""
         return np.asarray(self.distance(states) <= self.tolerance)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
-    """What to plan. States and tangents are those of `physics.space`."""
+    """A planning problem. States and tangents are those of `physics.space`."""
 
     name: str
-    """What it is called in manifests and messages."""
+    """Its name in manifests and messages."""
     mjcf: str
-    """The model's MJCF text; joints that are not planned for are held in it."""
+    """The MJCF text of the model, which has no other joints than `joints`."""
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
     start: Box
-    """Where plans start [m, rad, m/s, rad/s]."""
+    """States where plans start [m, rad, m/s, rad/s]."""
     goal: Box
-    """Where plans end."""
+    """States where plans end."""
     tolerance: float
-    """A plan has arrived when the weighted sum of absolute differences to its goal is at most this."""
+    """A state is at the goal if the weighted sum of its absolute differences from it is at most this."""
     goal_random: bool = False
-    """Draw a goal from the box for each plan; otherwise anywhere in the box will do."""
+    """Whether each plan gets one goal, drawn from the box; otherwise it may end anywhere in the box."""
     goal_weights: tuple[float, ...] = ()
-    """How much each number of a tangent counts in it; all 1 by default."""
+    """Weight of each number of a tangent in the distance to the goal; empty means 1 for all."""
     feature_weights: tuple[float, ...] = ()
-    """How much each number counts when neighbours are searched; by default by its range."""
+    """Weight of each number of a tangent in nearest-neighbour search; empty means 1 / range."""
     sample_velocity: tuple[float, ...] = ()
-    """Exploration draws each velocity within plus or minus these [m/s or rad/s]; by default its bound."""
+    """Exploration draws each velocity within plus and minus these [m/s or rad/s]; empty means its bound."""
     velocity_bound: tuple[float, ...] = (DEFAULT_VELOCITY_BOUND,)
-    """Faster states are out of bounds [m/s or rad/s]: one bound for all, or one for each."""
+    """States with faster velocities are out of bounds [m/s or rad/s]: one bound for all, or one for each."""
     position_bounds: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = ()
-    """Joint, low and high [m] where the model itself sets no limits."""
+    """(joint, low, high) for joints that the model does not limit [m]."""
     control_bounds: Box | None = None
-    """Narrower bounds of the controls than the model's."""
+    """Bounds of the controls, within the model's own."""
     forbidden_contacts: Literal["none", "all"] | GeomPairs = "none"
-    """Which contacts make a state invalid."""
+    """Contacts that make a state invalid: none, all, or those between pairs of geoms."""
     predicate: Callable[[np.ndarray], np.ndarray] | None = None
-    """States to whether each is allowed; from Python only, a problem file names no code."""
+    """Function of states [batch, state] to whether each is allowed [batch]; not in problem files."""
     hold: bool = True
-    """Whether it is checked that the goal can be held."""
+    """Whether to check that the goal can be held."""
     kinematic: bool = False
-    """Plan positions alone: controls are velocities, and nothing has mass."""
+    """Whether to plan only positions: controls are then velocities, and nothing has mass."""
     cost: Literal["duration", "effort"] = "duration"
-    """What makes a plan good."""
+    """The cost to minimise: the time of a plan, or its time weighted by the controls."""
     planner: str = "sst"
-    """The planner that suits it."""
+    """The name of the planner that suits the problem."""
     settings: tuple[tuple[str, Any], ...] = ()
     """Settings of the planner that differ from its defaults."""
 
+    def __repr__(self) -> str:
+        """Return the name, the joints and the planner."""
+        joints = self.joints if len(self.joints) <= 4 else (*self.joints[:3], "...")
+        return f"Problem({self.name!r}, joints {', '.join(joints)}, planner {self.planner})"
+
     @property
     def validity(self) -> Validity:
-        """What a state must not do beside leaving its bounds."""
+        """What makes a state invalid, apart from its bounds."""
         return Validity(self.forbidden_contacts, self.predicate)
 
     def compile(self) -> tuple[mujoco.MjModel, StateSpace]:
-        """Compiles the model and reads its state space.
+        """Compile the model and read its state space.
 
         Raises:
             PlanspaceError: the model does not compile.
@@ -127,7 +133,9 @@ class Problem:
     def _narrow_controls(self, model: mujoco.MjModel, bounds: Box) -> None:
         low, high = np.array(bounds.low), np.array(bounds.high)
         if self.kinematic:
-            raise UsageError("control_bounds: a kinematic problem's controls are bounded by velocity_bound.")
+            raise UsageError(
+                "control_bounds cannot be used in a kinematic problem: velocity_bound bounds its controls."
+            )
         if len(low) != model.nu:
             raise UsageError(f"control_bounds has {len(low)} numbers; the model has {model.nu} actuators.")
         limited, (least, most) = model.actuator_ctrllimited.astype(bool), model.actuator_ctrlrange.T
@@ -137,11 +145,11 @@ class Problem:
         model.actuator_ctrlrange[:] = np.transpose([low, high])
 
     def speed(self, space: StateSpace) -> Float[np.ndarray, " dof"]:
-        """How fast exploration goes, for each degree of freedom [m/s or rad/s]."""
+        """Return the fastest velocity of exploration for each degree of freedom [m/s or rad/s]."""
         return np.array(self.sample_velocity) if self.sample_velocity else space.velocity_bound
 
     def weights(self, space: StateSpace) -> Float[np.ndarray, " tangent"]:
-        """The weights of neighbour search."""
+        """Return the weights of nearest-neighbour search."""
         return (
             np.array(self.feature_weights)
             if self.feature_weights
@@ -149,32 +157,32 @@ class Problem:
         )
 
     def draw_start(self, simulator: Simulator, rng: np.random.Generator) -> Float[np.ndarray, " state"]:
-        """Draws a valid start.
+        """Draw a valid start.
 
         Raises:
-            PlanspaceError: none was found.
+            PlanspaceError: no draw was valid.
         """
         for _ in range(START_DRAWS):
             start = simulator.space.normalise(self.start.sample(rng))
             if simulator.valid_states(start[None])[0]:
                 return start
         raise PlanspaceError(
-            f"problem {self.name}: no valid start in {START_DRAWS} draws: all are in collision, out of "
-            "bounds, or refused by the predicate."
+            f"problem {self.name}: no valid start in {START_DRAWS} draws: each was in collision, out of "
+            "bounds, or rejected by the predicate."
         )
 
     def draw_goal(
         self, space: StateSpace, rng: np.random.Generator, simulator: Simulator | None = None
     ) -> Goal:
-        """The goal of one plan.
+        """Return the goal of one plan.
 
         Args:
             space: the problem's state space.
-            rng: draws a random goal.
-            simulator: to draw a random goal again until it is valid; overwritten.
+            rng: the stream that a random goal is drawn from.
+            simulator: if given, a random goal is drawn again until it is valid; its states are overwritten.
 
         Raises:
-            PlanspaceError: no valid goal was found.
+            PlanspaceError: no draw was valid.
         """
         weights = np.array(self.goal_weights) if self.goal_weights else np.ones(space.tangent_size)
         if self.goal_random:
@@ -183,7 +191,8 @@ class Problem:
                 if simulator is None or simulator.valid_states(center[None])[0]:
                     return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
             raise PlanspaceError(
-                f"problem {self.name}: no valid goal in {START_DRAWS} draws: all are in collision or refused."
+                f"problem {self.name}: no valid goal in {START_DRAWS} draws: each was in collision or "
+                "rejected by the predicate."
             )
         low, high = space.normalise(np.array(self.goal.low)), space.normalise(np.array(self.goal.high))
         half = 0.5 * _straight_difference(space, low, high)
@@ -192,7 +201,7 @@ class Problem:
     def step_cost(
         self, simulator: Simulator, controls: Float[np.ndarray, "*batch control"]
     ) -> Float[np.ndarray, "*batch"]:
-        """What one physics step under each control costs [s]: its time, or its share of the full control."""
+        """Return the cost of one physics step with each control [s]: its time, weighted for `effort`."""
         dt = simulator.model.opt.timestep
         if self.cost == "duration":
             return np.full(controls.shape[:-1], dt)
@@ -206,7 +215,7 @@ class Problem:
 
 
 def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """High - low as a tangent, without taking the short way round a circle: a box may span it."""
+    """Return high - low as a tangent, not the short way round a circle, because a box may span the circle."""
     delta = space.difference(high, low)
     for state, tangent, kind in space.layout:
         if kind == "circle":

@@ -1,0 +1,78 @@
+"""Checks that a planning problem fits its model, before a search is wasted on it."""
+
+import mujoco
+import numpy as np
+
+from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.simulator import Simulator, control_bounds
+from planspace.physics.space import StateSpace
+from planspace.tasks.problem import Problem
+
+
+def check_problem(problem: Problem, where: str) -> None:
+    """Check that a problem fits its model and that its goal can be entered.
+
+    Args:
+        problem: the problem.
+        where: the file it comes from, or its name, for messages.
+
+    Raises:
+        PlanspaceError: it does not fit.
+    """
+    try:
+        model, space = problem.compile()
+    except PlanspaceError as error:
+        raise UsageError(f"{where}: {error}") from error
+    moving = [model.joint(i).name for i in range(model.njnt)]
+    left_out = [name for name in moving if name not in problem.joints]
+    if left_out:
+        raise PlanspaceError(
+            f"{where}: the model moves the joint {left_out[0]!r}, which is not in joints; add it, or take it "
+            "out of the model."
+        )
+    _check_sizes(problem, space, where)
+    _check_limits(model, space, where)
+    _check_goal(problem, model, space, where)
+
+
+def _check_sizes(problem: Problem, space: StateSpace, where: str) -> None:
+    sizes = [
+        ("start", problem.start.low, space.size),
+        ("goal", problem.goal.low, space.size),
+        ("goal_weights", problem.goal_weights, space.tangent_size),
+        ("feature_weights", problem.feature_weights, space.tangent_size),
+        ("sample_velocity", problem.sample_velocity, space.num_dofs),
+    ]
+    for key, got, wanted in sizes:
+        if len(got) not in ((wanted,) if key in ("start", "goal") else (0, wanted)):
+            raise PlanspaceError(f"{where}: {key} must have {wanted} numbers, got {len(got)}.")
+    for key, box in (("start", problem.start), ("goal", problem.goal)):
+        if not space.in_bounds(space.normalise(np.array([box.low, box.high]))).all():
+            raise PlanspaceError(f"{where}: {key} reaches outside the joint limits or the velocity bound.")
+
+
+def _check_limits(model: mujoco.MjModel, space: StateSpace, where: str) -> None:
+    if model.nu == 0 and not space.kinematic:
+        raise PlanspaceError(
+            f"{where}: the model has no actuator that moves these joints, so there is nothing to control."
+        )
+    if not np.isfinite(control_bounds(model, space)).all():
+        raise PlanspaceError(f"{where}: an actuator has no control range; give control_bounds.")
+    free = [space.names[s] for s in space.unbounded]
+    if free:
+        raise PlanspaceError(f"{where}: {free[0]!r} has no limits; give its joint position_bounds.")
+
+
+def _check_goal(problem: Problem, model: mujoco.MjModel, space: StateSpace, where: str) -> None:
+    """Check that the goal is one region and that its centre is a valid state."""
+    if problem.goal_random:
+        return
+    for column in space.quaternion_columns:
+        if problem.goal.low[column : column + 4] != problem.goal.high[column : column + 4]:
+            raise PlanspaceError(
+                f"{where}: goal: a box cannot span rotations; use goal_weights of 0 to leave directions free."
+            )
+    simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
+    center = problem.draw_goal(space, np.random.default_rng(0)).center
+    if not simulator.valid_states(center[None])[0]:
+        raise PlanspaceError(f"{where}: goal: it is in collision, or the predicate rejects it.")
