@@ -1,67 +1,67 @@
-"""What planspace raises at its borders; the command line turns each into one line and an exit code."""
+"""The exceptions of planspace; the command line prints each as one line and returns its exit code."""
 
 import difflib
 import reprlib
 from collections.abc import Iterable
 from typing import Any
 
-LONGEST = 2500
-"""Characters of a message; our own lists of names, such as a study's arms, are shorter."""
+MAX_LENGTH = 2500
+"""Largest number of characters in a message; our own lists of names, such as a study's arms, are shorter."""
 _SHORT = reprlib.Repr()
-_SHORT.maxlevel = 1  # of a list in a list it is said that there is one
+_SHORT.maxlevel = 1  # a list inside a list is shown as [...]
 _SHORT.maxstring = _SHORT.maxother = 80
 
 
 class PlanspaceError(Exception):
-    """Something failed; the message says what, where and what to do.
+    """A failure; the message says what happened, with which value, and what to do.
 
-    Its text is one line of bounded length in which every character is to be seen, whatever names and values
-    of a stranger's file it quotes.
+    The text is one line of bounded length without control characters, even if it quotes names and values
+    from an untrusted file.
     """
 
     exit_code = 1
 
     def __str__(self) -> str:
-        """The message as it may be shown on a terminal."""
+        """The message, safe to print on a terminal."""
         text = printable(super().__str__())
-        if len(text) <= LONGEST:
+        if len(text) <= MAX_LENGTH:
             return text
-        half = LONGEST // 2
+        half = MAX_LENGTH // 2
         return f"{text[:half]} ... {text[-half:]}"
 
 
 class UsageError(PlanspaceError):
-    """The caller asked for something that does not exist or does not fit together."""
+    """The caller asked for something that does not exist, or for values that do not fit together."""
 
     exit_code = 2
 
 
 class PartialResult(PlanspaceError):
-    """Part of the work was done and saved, part could not be."""
+    """Part of the work was done and saved, the rest failed."""
 
     exit_code = 3
 
 
 def printable(text: str) -> str:
-    """The text with each character that is not to be seen, such as ESC or an end of line, written out."""
+    """Escape every character that is not printable, such as ESC or a newline."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def quoted(value: Any) -> str:
-    """A value as a message quotes it: its `repr`, shortened in the middle where it is long."""
+    """Return the `repr` of a value for a message, shortened in the middle if it is long."""
     return _SHORT.repr(value)
 
 
 def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:
-    """Builds the error for a name that is not in a closed list, with the nearest name that is.
+    """Build the error for a name that does not exist, with the most similar name that does.
 
     Args:
-        kind: what the name should have named, for example `"task"`.
+        kind: what the name stands for, for example `"task"`.
         name: the name that was given.
         known: the names that exist.
 
     Returns:
-        The error, to be raised by the caller.
+        The error; the caller raises it.
     """
     names = sorted(known)
     near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.4)

@@ -22,14 +22,14 @@ def write(folder: Path, text: str, name: str = "model.xml") -> Path:
     return folder / name
 
 
-def test_a_model_of_one_file_is_read_as_it_stands(tmp_path: Path) -> None:
+def test_a_model_in_one_file_is_read_unchanged(tmp_path: Path) -> None:
     assert read_model(write(tmp_path, TWO_JOINTS), ("a", "b")) == TWO_JOINTS
     assert read_model(write(tmp_path, TWO_JOINTS)) == TWO_JOINTS
 
 
-def test_the_other_joints_are_held(tmp_path: Path) -> None:
+def test_other_joints_are_locked(tmp_path: Path) -> None:
     model = load_model(read_model(write(tmp_path, TWO_JOINTS), ("a",)))
-    assert (model.nq, model.nu, model.nsensor, model.nbody) == (1, 1, 0, 3)  # b's body is still there
+    assert (model.nq, model.nu, model.nsensor, model.nbody) == (1, 1, 0, 3)  # b's body stays
     assert model.joint(0).name == "a"
 
 
@@ -54,18 +54,18 @@ def test_includes_are_merged(tmp_path: Path) -> None:
         ('<compiler meshdir="../"/><asset><mesh file="a.stl"/></asset>', "'a.stl', outside its folder"),
         ('<asset><texture type="cube" fileright="/etc/a.png"/></asset>', "'/etc/a.png', outside its folder"),
         ('<asset><mesh file="a.stl"/></asset>', "does not compile: .*a.stl"),
-        ('<asset><hfield file="a.png"/></asset>', "cannot hold a hfield in a file"),
+        ('<asset><hfield file="a.png"/></asset>', "cannot hold the file of an element <hfield>"),
         ("<nonsense/>", "does not compile: .*nonsense.*line 1"),
         ("<worldbody>", "is not well-formed XML: mismatched tag"),
     ],
 )
-def test_what_a_model_may_not_do(inside: str, message: str, tmp_path: Path) -> None:
+def test_forbidden_content_is_rejected(inside: str, message: str, tmp_path: Path) -> None:
     write(tmp_path, "<mujoco/>", "secret.xml")
     with pytest.raises(PlanspaceError, match=message):
         read_model(write(tmp_path / "models", f"<mujoco>{inside}</mujoco>"))
 
 
-def test_an_unknown_joint_is_named(tmp_path: Path) -> None:
+def test_an_unknown_joint_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="unknown joint 'aa'. Did you mean 'a'"):
         read_model(write(tmp_path, TWO_JOINTS), ("aa",))
 
@@ -78,7 +78,7 @@ WITH_MESH = """<mujoco><compiler meshdir="parts"/>
   <geom type="mesh" mesh="m" material="skin" pos="0.1 0 0" euler="10 20 30"/></body></worldbody></mujoco>"""
 
 
-def test_meshes_become_text_and_pictures_plain_colour(tmp_path: Path) -> None:
+def test_meshes_become_text_and_textures_a_plain_colour(tmp_path: Path) -> None:
     import matplotlib.image
 
     path = write(tmp_path, WITH_MESH)
@@ -86,13 +86,13 @@ def test_meshes_become_text_and_pictures_plain_colour(tmp_path: Path) -> None:
     matplotlib.image.imsave(tmp_path / "parts" / "t.png", np.zeros((4, 4, 3)))
     text = read_model(path, ("h",))
     assert "m.obj" not in text and "t.png" not in text
-    model = load_model(text)  # from the text alone
+    model = load_model(text)  # from the text only
     original = mujoco.MjModel.from_xml_path(str(path))
     for field in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat"):
         np.testing.assert_allclose(getattr(model, field), getattr(original, field), rtol=1e-5, atol=1e-6)
 
 
-def test_an_asset_folder_counts_for_the_files_of_all_parts(tmp_path: Path) -> None:
+def test_an_asset_folder_applies_to_included_files(tmp_path: Path) -> None:
     """MuJoCo applies the main file's meshdir to an included file's meshes."""
     write(tmp_path, '<mujoco><asset><mesh name="m" file="m.obj"/></asset></mujoco>', "models/part.xml")
     write(tmp_path, TETRAHEDRON, "m.obj")
@@ -103,15 +103,15 @@ def test_an_asset_folder_counts_for_the_files_of_all_parts(tmp_path: Path) -> No
         read_model(path)
 
 
-def test_another_format_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PlanspaceError, match="no MJCF model: it begins with <robot>"):
+def test_another_format_is_rejected(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="not an MJCF model: its root element is <robot>"):
         read_model(write(tmp_path, '<robot><link name="l"><mesh filename="/etc/m.obj"/></link></robot>'))
 
 
 FLEX = '<body name="b"><flexcomp name="f" count="3 3 3" dim="3" spacing="1 1 1"/></body>'
 
 
-def test_what_mujoco_says_while_it_compiles_is_printed_nowhere(
+def test_compiling_prints_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -120,9 +120,9 @@ def test_what_mujoco_says_while_it_compiles_is_printed_nowhere(
     assert capfd.readouterr() == ("", "") and not Path("MUJOCO_LOG.TXT").exists()
 
 
-def test_keyframes_do_not_stop_a_joint_from_being_held(tmp_path: Path) -> None:
-    keyed = TWO_JOINTS.replace("</mujoco>", '<keyframe><key qpos="1 2" ctrl="0 0"/></keyframe></mujoco>')
-    assert load_model(read_model(write(tmp_path, keyed), ("a",))).nq == 1
-    tied = TWO_JOINTS.replace("</mujoco>", '<equality><joint joint1="a" joint2="b"/></equality></mujoco>')
-    with pytest.raises(PlanspaceError, match="the joints b cannot be held: .*Plan for them too"):
-        read_model(write(tmp_path, tied), ("a",))
+def test_a_joint_can_be_locked_in_a_model_with_keyframes(tmp_path: Path) -> None:
+    with_key = TWO_JOINTS.replace("</mujoco>", '<keyframe><key qpos="1 2" ctrl="0 0"/></keyframe></mujoco>')
+    assert load_model(read_model(write(tmp_path, with_key), ("a",))).nq == 1
+    coupled = TWO_JOINTS.replace("</mujoco>", '<equality><joint joint1="a" joint2="b"/></equality></mujoco>')
+    with pytest.raises(PlanspaceError, match="the joints b cannot be locked: .*Add them to the joints"):
+        read_model(write(tmp_path, coupled), ("a",))

@@ -12,7 +12,7 @@ def test_a_quarter_turn_by_hand() -> None:
     np.testing.assert_allclose(quaternion.multiply(quarter, quarter), [0, 0, 0, 1], atol=1e-15)
 
 
-def test_log_undoes_exp_and_does_not_see_the_sign(rng: np.random.Generator) -> None:
+def test_log_inverts_exp_and_ignores_the_sign(rng: np.random.Generator) -> None:
     v = rng.normal(size=(100, 3))
     v *= rng.uniform(0, 3.1, (100, 1)) / np.linalg.norm(v, axis=1, keepdims=True)
     q = quaternion.exp(v)
@@ -21,7 +21,7 @@ def test_log_undoes_exp_and_does_not_see_the_sign(rng: np.random.Generator) -> N
     np.testing.assert_array_equal(quaternion.log(np.array([1.0, 0, 0, 0])), np.zeros(3))
 
 
-def test_multiply_and_log_are_mujocos(rng: np.random.Generator) -> None:
+def test_multiply_and_log_agree_with_mujoco(rng: np.random.Generator) -> None:
     a, b = quaternion.sample(rng, 20), quaternion.sample(rng, 20)
     for x, y in zip(a, b, strict=True):
         product, difference = np.zeros(4), np.zeros(3)
@@ -33,5 +33,5 @@ def test_multiply_and_log_are_mujocos(rng: np.random.Generator) -> None:
         )
 
 
-def test_zero_becomes_no_rotation() -> None:
+def test_a_zero_quaternion_becomes_the_identity() -> None:
     np.testing.assert_array_equal(quaternion.normalise(np.zeros(4)), [1, 0, 0, 0])

@@ -14,7 +14,7 @@ def cartpole() -> StateSpace:
     return TASKS["cartpole"].compile()[1]
 
 
-def test_reads_joint_kinds_off_the_model(cartpole: StateSpace) -> None:
+def test_joint_kinds_are_read_from_the_model(cartpole: StateSpace) -> None:
     assert cartpole.names == ("slider", "hinge", "slidervel", "hingevel")
     assert cartpole.units == ("m", "rad", "m/s", "rad/s")
     assert cartpole.circular_columns == (1,)  # the hinge has no limit: SO(2)
@@ -24,16 +24,16 @@ def test_reads_joint_kinds_off_the_model(cartpole: StateSpace) -> None:
     np.testing.assert_allclose(reacher.high, [3.14, 3.0])
 
 
-def test_distance_goes_the_short_way_round(cartpole: StateSpace) -> None:
+def test_distance_takes_the_short_way_round(cartpole: StateSpace) -> None:
     a, b = np.array([0.0, 3.0, 0.0, 0.0]), np.array([0.5, -3.0, 0.0, 1.0])
     # |0.5| + |6 - 2 pi| + 0 + |1|
     assert cartpole.distance(a, b) == pytest.approx(0.5 + (2 * np.pi - 6) + 1.0)
-    wound = a + np.array([0.0, 8 * np.pi, 0.0, 0.0])
-    assert cartpole.distance(wound, b) == pytest.approx(float(cartpole.distance(a, b)))
-    assert cartpole.distance(wound, b) > 0  # the 2020 planner's went negative here
+    with_winding = a + np.array([0.0, 8 * np.pi, 0.0, 0.0])
+    assert cartpole.distance(with_winding, b) == pytest.approx(float(cartpole.distance(a, b)))
+    assert cartpole.distance(with_winding, b) > 0  # the 2020 planner's was negative here
 
 
-def test_features_do_not_see_windings(cartpole: StateSpace) -> None:
+def test_features_ignore_windings(cartpole: StateSpace) -> None:
     weights = np.array([1.0, 2.0, 0.5, 0.1])
     x = np.array([0.1, 0.4, 2.0, 3.0])
     expected = [0.1, 2 * np.sin(0.4), 2 * np.cos(0.4), 1.0, 0.3]
@@ -41,14 +41,14 @@ def test_features_do_not_see_windings(cartpole: StateSpace) -> None:
     np.testing.assert_allclose(cartpole.features(x + [0, 2 * np.pi, 0, 0], weights), expected, atol=1e-12)
 
 
-def test_bounds_refuse_limits_speed_and_nan(cartpole: StateSpace) -> None:
+def test_states_out_of_bounds_too_fast_or_nan_are_invalid(cartpole: StateSpace) -> None:
     states = np.array(
         [[0, 100, 0, 0], [1.01, 0, 0, 0], [0, 0, 0, 50.1], [0, np.nan, 0, 0], [0, 0, np.inf, 0]], float
     )
     assert cartpole.in_bounds(states).tolist() == [True, False, False, False, False]
 
 
-def test_unknown_joints_are_refused_by_name() -> None:
+def test_an_unknown_joint_is_rejected() -> None:
     model, _ = load_problem("cartpole").compile()
     with pytest.raises(UsageError, match="unknown joint 'hinje'. Did you mean 'hinge'"):
         StateSpace.from_model(model, ["slider", "hinje"])
@@ -68,7 +68,7 @@ def mixed() -> StateSpace:
     return StateSpace.from_model(load_model(MIXED), ["slide", "ball", "free"], position_bounds=bounds)
 
 
-def test_reads_balls_and_free_joints(mixed: StateSpace) -> None:
+def test_balls_and_free_joints_are_read(mixed: StateSpace) -> None:
     assert (mixed.size, mixed.tangent_size) == (22, 20)
     assert mixed.quaternion_columns == (1, 8)
     assert mixed.names[:9] == (
@@ -79,7 +79,7 @@ def test_reads_balls_and_free_joints(mixed: StateSpace) -> None:
     assert mixed.bounded == ((0, 0), (5, 4), (6, 5), (7, 6))
 
 
-def test_integrating_a_difference_arrives_and_agrees_with_mujoco(
+def test_integrate_inverts_difference_and_agrees_with_mujoco(
     mixed: StateSpace, rng: np.random.Generator
 ) -> None:
     a, b = (mixed.sample(rng, 50, np.full(10, 2.0)) for _ in range(2))
@@ -102,11 +102,12 @@ def test_a_quaternion_and_its_negative_are_one_state(mixed: StateSpace, rng: np.
     np.testing.assert_allclose(mixed.features(x, weights), mixed.features(y, weights))
 
 
-def test_features_keep_small_distances_and_their_images_find_the_other_side(mixed: StateSpace) -> None:
+def test_mirrored_features_find_rotations_of_the_other_sign(mixed: StateSpace) -> None:
     weights = np.ones(20)
     x = np.zeros((2, 22))
     x[:, 8] = 1.0
-    # two rotations by nearly pi about x, from either side: 0.02 rad apart, with quaternions of opposite sign
+    # two rotations of about pi around x, one just below and one just above: 0.02 rad apart, but their
+    # quaternions have opposite signs
     for row, angle in enumerate((np.pi - 0.01, np.pi + 0.01)):
         x[row, 1:3] = np.cos(angle / 2), np.sin(angle / 2)
     near, far = mixed.features(x, weights)
@@ -115,7 +116,9 @@ def test_features_keep_small_distances_and_their_images_find_the_other_side(mixe
     assert best == pytest.approx(0.02, rel=1e-3)
 
 
-def test_interpolation_is_even_and_goes_the_short_way(mixed: StateSpace, rng: np.random.Generator) -> None:
+def test_interpolation_is_uniform_and_takes_the_short_way(
+    mixed: StateSpace, rng: np.random.Generator
+) -> None:
     a, b = mixed.sample(rng, 2, np.ones(10))
     path = mixed.interpolate(a, b, np.linspace(0, 1, 5))
     steps = mixed.difference(path[1:], path[:-1])
@@ -123,7 +126,7 @@ def test_interpolation_is_even_and_goes_the_short_way(mixed: StateSpace, rng: np
     np.testing.assert_allclose(mixed.difference(path[-1], b), 0, atol=1e-10)
 
 
-def test_a_limited_ball_stays_within_its_range(mixed: StateSpace) -> None:
+def test_a_limited_ball_has_a_range(mixed: StateSpace) -> None:
     x = np.zeros((2, 22))
     x[:, 8] = 1.0
     for row, angle in enumerate((1.9, 2.1)):  # the range is 2 rad
@@ -131,17 +134,17 @@ def test_a_limited_ball_stays_within_its_range(mixed: StateSpace) -> None:
     assert mixed.in_bounds(x).tolist() == [True, False]
 
 
-def test_default_weights_count_every_number_by_its_range(mixed: StateSpace) -> None:
+def test_default_weights_scale_by_range(mixed: StateSpace) -> None:
     weights = mixed.default_weights(np.full(10, 4.0))
     np.testing.assert_allclose(weights[[0, 4, 5, 6]], [2 / 3, 1, 0.5, 2 / 3])  # 2 / range
-    np.testing.assert_allclose(weights[[1, 2, 3, 7]], 1)  # rotations: 1 a radian
+    np.testing.assert_allclose(weights[[1, 2, 3, 7]], 1)  # rotations: 1 per radian
     np.testing.assert_allclose(weights[10:], 0.25)  # 1 / speed
 
 
-def test_samples_are_within_bounds_and_spread(mixed: StateSpace, rng: np.random.Generator) -> None:
+def test_samples_are_within_bounds_and_uniform(mixed: StateSpace, rng: np.random.Generator) -> None:
     states = mixed.sample(rng, 2000, np.full(10, 2.0))
     balls = np.linalg.norm(mixed.difference(states, np.eye(22)[1] + np.eye(22)[8])[:, 1:4], axis=1)
-    assert 0.3 < (balls < np.pi / 2).mean() * np.pi < 0.8  # uniform on SO(3): share (pi/2 - 1)/pi = 0.18
+    assert 0.3 < (balls < np.pi / 2).mean() * np.pi < 0.8  # uniform on SO(3): fraction (pi/2 - 1)/pi = 0.18
     inside = states[balls < 2]
     assert mixed.in_bounds(inside).all()
 
@@ -168,6 +171,6 @@ def test_a_kinematic_space_has_no_velocities() -> None:
         ({"position_bounds": {"ball": ([0.0], [1.0])}}, "a ball joint takes 0 lower and 0 upper bounds"),
     ],
 )
-def test_bounds_that_do_not_fit_are_refused(settings: dict, message: str) -> None:
+def test_bounds_of_the_wrong_size_are_rejected(settings: dict, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         StateSpace.from_model(load_model(MIXED), ["slide", "ball", "free"], **settings)

@@ -1,4 +1,4 @@
-"""A disk that fails at a call of one's choice, and that forgets what was not flushed when the power goes."""
+"""A disk that fails at a chosen call, and that loses unflushed data when the power fails."""
 
 import builtins
 import errno
@@ -14,50 +14,53 @@ import pytest
 Fault = Literal["raise", "exit", "ENOSPC", "EIO", "short", "power", "power after renames"]
 
 FAULTS: tuple[Fault, ...] = ("raise", "exit", "ENOSPC", "EIO", "short", "power", "power after renames")
-"""What goes wrong at the chosen call:
+"""What goes wrong at the chosen call.
 
-raise: an interrupt. exit: the process ends, half of a write done. ENOSPC, EIO: the error. short: a write does
-a part, any other call says that the disk is full. power: what was not flushed is gone, names and all; after
-renames: names are kept, what is in the files is not.
+- raise: an interrupt.
+- exit: the process ends; half of a write is done.
+- ENOSPC, EIO: the call fails with this error.
+- short: a write is incomplete; any other call reports a full disk.
+- power: what was not flushed is lost, names included.
+- power after renames: names are kept, unflushed contents are lost.
 """
 
 
 class Interrupted(BaseException):
-    """Raised where nothing is expected to be."""
+    """An exception that the code does not expect."""
 
 
 class Dead(BaseException):
-    """The process is no more; nothing it does now reaches the disk."""
+    """The process has ended; nothing that it does now reaches the disk."""
 
 
 class FaultyDisk:
     """Counts the calls that change a folder, and makes one of them fail.
 
-    Calls are: opening to write, writing, flushing, renaming, removing, cutting, and making a folder which is
-    not there. `calls` is how many there were.
+    These calls are: opening for writing, writing, flushing, renaming, removing, truncating, and making a
+    folder that does not exist. `calls` is their number.
     """
 
     def __init__(self, root: Path, fault: Fault | None = None, at: int = 0):
-        """Watches a folder.
+        """Watch a folder.
 
         Args:
-            root: the folder; calls elsewhere are let through and not counted.
-            fault: what is to go wrong.
-            at: at which call, counted from 1.
+            root: the folder; calls outside of it are neither counted nor changed.
+            fault: what goes wrong; None only counts.
+            at: number of the call at which it goes wrong, counted from 1.
         """
         self.calls = 0
         self._root, self._fault, self._at, self._dead = root, fault, at, False
         self._patch = pytest.MonkeyPatch()
         self._names: dict[Path, int] = {}
-        """What a file's name refers to now."""
+        """Path to the number of the file that has this name now."""
         self._content: dict[int, bytes] = {}
-        """What was flushed of it."""
+        """Number of a file to its flushed content."""
         self._folders = {root}
         for path in root.rglob("*"):
             if path.is_dir():
                 self._folders.add(path)
             else:
-                self._content[self._refer(path)] = path.read_bytes()
+                self._content[self._number(path)] = path.read_bytes()
         self._kept_names, self._kept_folders = dict(self._names), set(self._folders)
 
     def __enter__(self) -> "FaultyDisk":
@@ -66,8 +69,8 @@ class FaultyDisk:
             self._patch.setattr(module, "open", self._opened)
         self._patch.setattr(os, "open", self._os_opened)
         for name in ("replace", "rename", "unlink", "mkdir", "truncate"):
-            self._patch.setattr(os, name, self._of_path(name, getattr(os, name)))
-        self._patch.setattr(os, "fsync", self._of_flush(os.fsync))
+            self._patch.setattr(os, name, self._patched_path_call(name, getattr(os, name)))
+        self._patch.setattr(os, "fsync", self._patched_flush(os.fsync))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
@@ -76,7 +79,7 @@ class FaultyDisk:
             self._lose(renamed=self._fault == "power after renames")
 
     def cut_power(self) -> None:
-        """The power goes now."""
+        """Cut the power now."""
         self._dead = True
 
     # --- calls ----------------------------------------------------------------------------------------
@@ -108,7 +111,7 @@ class FaultyDisk:
 
         def act() -> Any:
             opened = self._open(file, mode, *args, **options)
-            self._refer(path)
+            self._number(path)
             return _Writing(opened, self, path)
 
         return self._call(path, act)
@@ -120,13 +123,13 @@ class FaultyDisk:
 
         def act() -> int:
             opened = self._os_open(file, flags, *args, **options)
-            self._refer(path)
+            self._number(path)
             return opened
 
         return self._call(path, act)
 
     def write(self, path: Path, file: Any, data: Any) -> int:
-        """A write to a file that was opened here; nothing is held back."""
+        """Write to a file that was opened here, without buffering."""
 
         def act(part: Any = data) -> int:
             done = file.write(part)
@@ -135,13 +138,13 @@ class FaultyDisk:
 
         def half() -> int:
             done = act(data[: len(data) // 2])
-            if self._fault == "short" and not isinstance(file, io.RawIOBase):  # it would have tried on
+            if self._fault == "short" and not isinstance(file, io.RawIOBase):  # Python would have retried
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return done
 
         return self._call(path, act, half)
 
-    def _of_path(self, name: str, do: Callable[..., Any]) -> Callable[..., Any]:
+    def _patched_path_call(self, name: str, do: Callable[..., Any]) -> Callable[..., Any]:
         def call(file: Any, *args: Any, **options: Any) -> None:
             path = Path(os.fsdecode(file)).absolute()
             if name == "mkdir" and path in self._folders:
@@ -161,7 +164,7 @@ class FaultyDisk:
 
         return call
 
-    def _of_flush(self, do: Callable[[int], None]) -> Callable[[int], None]:
+    def _patched_flush(self, do: Callable[[int], None]) -> Callable[[int], None]:
         def call(descriptor: int) -> None:
             path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
 
@@ -180,9 +183,9 @@ class FaultyDisk:
 
         return call
 
-    # --- what the power leaves ------------------------------------------------------------------------
+    # --- after a power failure ------------------------------------------------------------------------
 
-    def _refer(self, path: Path) -> int:
+    def _number(self, path: Path) -> int:
         return self._names.setdefault(path, max(self._names.values(), default=-1) + 1 + len(self._content))
 
     def _lose(self, *, renamed: bool) -> None:

@@ -1,4 +1,4 @@
-"""A file system that is really full, or cannot be written: one line, nothing lost, the same end after it."""
+"""A full or read-only file system gives a one-line error, loses nothing, and a rerun ends the same."""
 
 import os
 import shutil
@@ -25,18 +25,18 @@ BALLAST = "ballast"
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of its own."""
+    """A separate file system."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
     if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("no file system may be mounted here")
+        pytest.skip("mounting a file system is not allowed here")
     yield folder
     subprocess.run(["umount", str(folder)], check=True)
 
 
 def leave_free(disk: Path, num_bytes: int) -> None:
-    """Fills a file system up to so many bytes, in whole pages."""
+    """Fill a file system until this many bytes are free, in whole pages."""
     (disk / BALLAST).unlink(missing_ok=True)
     stat = os.statvfs(disk)
     ballast = max(stat.f_bavail * stat.f_frsize - num_bytes, 0) // PAGE * PAGE
@@ -51,7 +51,7 @@ def used_bytes(folder: Path) -> int:
 @dataclass(frozen=True)
 class Command:
     words: Callable[[Path], list[str]]
-    """For the folder of a dataset."""
+    """Function from the folder of a dataset to the arguments."""
     content: Callable[[Path], Any]
 
 
@@ -71,38 +71,41 @@ COMMANDS = {
         lambda out: {name: array.tobytes() for name, array in load_history(out).items()},
     ),
 }
-SHARES = (0.0, 0.5, 0.9)
-"""Of what a command writes, so much fits."""
+FRACTIONS = (0.0, 0.5, 0.9)
+"""How much of a command's output fits on the disk."""
 
 
 @pytest.fixture
-def given(demo_folder: Path, tmp_path: Path) -> Path:
-    """A dataset, and the same as CSV beside it."""
+def dataset(demo_folder: Path, tmp_path: Path) -> Path:
+    """A dataset, with a CSV export next to it."""
     demos = shutil.copytree(demo_folder, tmp_path / "demos")
     assert main(["demos", "export", str(demos), str(tmp_path / "demos.csv")]) == 0
     return demos
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [name if name == "import" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+)
 def test_on_a_full_disk_nothing_is_lost(
-    name: str, disk: Path, given: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, disk: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command, alone, out = COMMANDS[name], tmp_path / "alone", disk / "out"
-    assert main([*command.words(given), "--out", str(alone)]) == 0
-    for share in SHARES:
-        leave_free(disk, int(share * used_bytes(alone)))
+    command, undisturbed, out = COMMANDS[name], tmp_path / "undisturbed", disk / "out"
+    assert main([*command.words(dataset), "--out", str(undisturbed)]) == 0
+    for fraction in FRACTIONS:
+        leave_free(disk, int(fraction * used_bytes(undisturbed)))
         capsys.readouterr()
-        assert main([*command.words(given), "--out", str(out)]) == 1
+        assert main([*command.words(dataset), "--out", str(out)]) == 1
         (line,) = [line for line in capsys.readouterr().err.splitlines() if "No space left" in line]
         assert line.startswith("planspace: cannot write ") and "run the same command again" in line
         (disk / BALLAST).unlink()
-        assert main([*command.words(given), "--out", str(out)]) == 0
-        assert command.content(out) == command.content(alone)
+        assert main([*command.words(dataset), "--out", str(out)]) == 0
+        assert command.content(out) == command.content(undisturbed)
         assert not [path.name for path in disk.rglob(".writing-*") if not path.name.endswith("lock")]
         shutil.rmtree(out)
 
 
-def test_a_study_on_a_full_disk_goes_on_when_there_is_room(disk: Path, finished: Path) -> None:
+@pytest.mark.slow
+def test_a_study_on_a_full_disk_continues_when_there_is_room(disk: Path, finished: Path) -> None:
     out = disk / "out"
     leave_free(disk, 0)
     with pytest.raises(PlanspaceError, match="^cannot write .*No space left.*run the same command again"):
@@ -117,11 +120,11 @@ def test_a_study_on_a_full_disk_goes_on_when_there_is_room(disk: Path, finished:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_disk_that_cannot_be_written_is_named_and_left_as_it_is(
-    name: str, disk: Path, given: Path, capsys: pytest.CaptureFixture[str]
+def test_a_read_only_disk_is_named_and_unchanged(
+    name: str, disk: Path, dataset: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
     capsys.readouterr()
-    assert main([*COMMANDS[name].words(given), "--out", str(disk / "out")]) == 1
+    assert main([*COMMANDS[name].words(dataset), "--out", str(disk / "out")]) == 1
     assert "Read-only file system" in capsys.readouterr().err.splitlines()[-1]
     assert list(disk.iterdir()) == []

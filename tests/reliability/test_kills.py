@@ -1,3 +1,5 @@
+"""Killed commands, run again, end with the same content as undisturbed ones."""
+
 import subprocess
 import sys
 from pathlib import Path
@@ -8,9 +10,12 @@ ROOT = Path(__file__).parents[2]
 KILLS = 6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_commands_end_with_the_same_content(tmp_path: Path) -> None:
-    """Under another hash seed, locale, folder and number of cores, too; `test_run` kills a study."""
+    """The killed commands also get another hash seed, locale, folder and number of cores.
+
+    `tests/study/test_run.py` kills a study.
+    """
     words = ["--scale", "small", "--only", "plan,embed,train", "--kills", str(KILLS), "--out", str(tmp_path)]
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "kills.py"), *words],

@@ -1,7 +1,7 @@
-"""From every checkpoint on, everything ends the same, bit for bit; and without any part of it, it does not.
+"""A run resumed from any checkpoint ends the same, bit for bit; without any part of a checkpoint it does not.
 
-There are no random keys and no states of environments in a checkpoint: both follow from the seed and the
-number of the iteration (of the step, for an embedding), since every iteration plays whole episodes.
+A checkpoint holds no random keys and no states of environments: both follow from the seed and the number of
+the iteration (for an embedding, of the step), because every iteration plays whole episodes.
 """
 
 import json
@@ -44,7 +44,7 @@ LOG = "log"
 
 
 def ending(folder: Path) -> Ending:
-    """All that a run leaves, apart from times of day."""
+    """Everything that a run leaves, without times of day."""
     files = [*folder.glob("*.safetensors"), folder / "checkpoint" / "state.safetensors"]
     left: Ending = {f"{f.name}: {k}": v.tobytes() for f in files for k, v in read_arrays(f).items()}
     rows = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
@@ -53,17 +53,17 @@ def ending(folder: Path) -> Ending:
 
 
 def results(left: Ending) -> Ending:
-    """Without the log, which tells a rerun from its first step already by its rows."""
+    """Without the log, whose rows differ if a run starts again from its first step."""
     return {name: value for name, value in left.items() if name != LOG}
 
 
 def checkpoints(run: Run, module: ModuleType, tmp_path: Path) -> tuple[Ending, list[Path]]:
-    """Runs undisturbed, keeping the folder as it was after each checkpoint but the last."""
+    """Run undisturbed, and copy the folder after each checkpoint except the last."""
     copies: list[Path] = []
     save = module.save_checkpoint
 
-    def keep(folder: Path, tree: object, about: dict[str, Any]) -> None:
-        save(folder, tree, about)
+    def keep(folder: Path, tree: object, counters: dict[str, int]) -> None:
+        save(folder, tree, counters)
         copies.append(tmp_path / f"after-{len(copies) + 1}")
         shutil.copytree(folder, copies[-1])
 
@@ -74,7 +74,7 @@ def checkpoints(run: Run, module: ModuleType, tmp_path: Path) -> tuple[Ending, l
 
 
 def items(folder: Path) -> list[str]:
-    """The kinds of things in a checkpoint; layers and seeds of one kind go together."""
+    """The kinds of arrays in a checkpoint; layers and seeds count as one."""
     names = read_arrays(folder / "checkpoint" / "state.safetensors")
     return sorted({item_of(name) for name in names})
 
@@ -84,12 +84,12 @@ def item_of(name: str) -> str:
 
 
 def ending_without(item: str, run: Run, module: ModuleType, copy: Path, to: Path) -> Ending | None:
-    """How it ends where one thing is not restored; None where that was as at the beginning."""
+    """How a run ends if one kind of array is not restored; None if it still had its initial value."""
     load, lost = module.load_checkpoint, False
 
     def forget(folder: Path, like: Any) -> Any:
         nonlocal lost
-        tree, about = load(folder, like)
+        tree, counters = load(folder, like)
 
         def choose(path: Any, fresh: Any, saved: Any) -> Any:
             nonlocal lost
@@ -100,20 +100,20 @@ def ending_without(item: str, run: Run, module: ModuleType, copy: Path, to: Path
             lost |= not np.array_equal(np.asarray(fresh), np.asarray(saved), equal_nan=True)
             return fresh
 
-        return jax.tree_util.tree_map_with_path(choose, like, tree), about
+        return jax.tree_util.tree_map_with_path(choose, like, tree), counters
 
     shutil.copytree(copy, to)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "load_checkpoint", forget)
         try:
             run(to)
-        except PlanspaceError as error:  # it may diverge
+        except PlanspaceError as error:  # training may diverge
             return {"error": str(error)}
     return ending(to) if lost else None
 
 
 def assert_exact(run: Run, module: ModuleType, tmp_path: Path) -> Iterator[str]:
-    """Resumes from every checkpoint, then without each item; yields the items that were put to the test."""
+    """Resume from every checkpoint, then without each kind of array; yield the kinds that were tested."""
     whole, copies = checkpoints(run, module, tmp_path)
     assert len(copies) >= 2
     for copy in copies:
@@ -123,7 +123,7 @@ def assert_exact(run: Run, module: ModuleType, tmp_path: Path) -> Iterator[str]:
     for number, item in enumerate(items(copies[-1])):
         without = ending_without(item, run, module, copies[-1], tmp_path / f"without-{number}")
         if without is not None:
-            assert without != whole, f"{item} is saved, but nobody misses it"
+            assert without != whole, f"{item} is saved, but not needed"
             yield item
 
 
@@ -139,13 +139,14 @@ SHORT = TrainConfig(num_seeds=2, steps=3000, batch_steps=1000)
 
 
 @pytest.fixture
-def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A checkpoint after every iteration."""
+def frequent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save a checkpoint after every iteration."""
     monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("algo", "preset", "z"), ARMS)
-@pytest.mark.usefixtures("often")
+@pytest.mark.usefixtures("frequent_checkpoints")
 def test_policies(algo: str, preset: str, z: ZMode, embedding: Embedding, tmp_path: Path) -> None:
     config = replace(SHORT, algorithm=find_algorithm(algo, preset), z=z, eval_every=1)
     given = embedding if z != "none" else None
@@ -168,27 +169,28 @@ def test_policies(algo: str, preset: str, z: ZMode, embedding: Embedding, tmp_pa
 
 
 @pytest.fixture
-def briefly(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Trains an embedding with three checkpoints."""
+def train_embedding(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Function that trains an embedding with three checkpoints."""
     monkeypatch.setattr(embed_training, "CHUNK", 20)
     config = replace(QUICK_FIT, steps=60, batch=16, average=0.9)
     return lambda out: fit_embedding(demos, config=config, out=out, num_seeds=2, seed=3)
 
 
-def test_an_embedding(briefly: Run, tmp_path: Path) -> None:
-    tested = set(assert_exact(briefly, embed_training, tmp_path))
+@pytest.mark.slow
+def test_an_embedding(train_embedding: Run, tmp_path: Path) -> None:
+    tested = set(assert_exact(train_embedding, embed_training, tmp_path))
     networks = ("model", "average", "optimiser.mu", "optimiser.nu")
     parts = ("encode.weights", "encode.biases", "decode.weights", "decode.biases")
     assert tested == {".optimiser.count", *(f".{n}.{part}" for n in networks for part in parts)}
 
 
-@pytest.mark.usefixtures("often")
+@pytest.mark.usefixtures("frequent_checkpoints")
 def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What no undisturbed run has, so that no mutant above could drop it."""
+    """An undisturbed run has no frozen seed, so the tests above do not cover it."""
     save = rl_training.save_checkpoint
 
-    def freeze(folder: Path, tree: Any, about: dict[str, Any]) -> None:
-        save(folder, tree._replace(frozen=np.array([False, True])), about)
+    def freeze(folder: Path, tree: Any, counters: dict[str, int]) -> None:
+        save(folder, tree._replace(frozen=np.array([False, True])), counters)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(rl_training, "save_checkpoint", freeze)
@@ -201,11 +203,11 @@ def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ]
 
 
-# --- what stands beside the arrays -------------------------------------------------------------------
+# --- the counter and the log -------------------------------------------------------------------------
 
 
-def assert_number_and_log_are_missed(run: Run, module: ModuleType, number: str, tmp_path: Path) -> None:
-    """How far it had come, from which random streams follow, and the rows until then."""
+def assert_counter_and_log_matter(run: Run, module: ModuleType, number: str, tmp_path: Path) -> None:
+    """Assert that a run ends differently without its counter, and keeps its results without its log."""
     whole, copies = checkpoints(run, module, tmp_path)
     rowless = shutil.copytree(copies[-1], tmp_path / "rowless")
     (rowless / "log.jsonl").unlink()
@@ -218,19 +220,20 @@ def assert_number_and_log_are_missed(run: Run, module: ModuleType, number: str, 
     assert results(ending(copies[-1])) != results(whole)
 
 
-@pytest.mark.usefixtures("often")
-def test_the_iteration_of_a_training_is_missed(tmp_path: Path) -> None:
-    assert_number_and_log_are_missed(
+@pytest.mark.usefixtures("frequent_checkpoints")
+def test_the_iteration_counter_matters(tmp_path: Path) -> None:
+    assert_counter_and_log_matter(
         lambda out: train_policies("cartpole", SHORT, out=out), rl_training, "iteration", tmp_path
     )
 
 
-def test_the_step_of_an_embedding_is_missed(briefly: Run, tmp_path: Path) -> None:
-    assert_number_and_log_are_missed(briefly, embed_training, "step", tmp_path)
+def test_the_step_counter_of_an_embedding_matters(train_embedding: Run, tmp_path: Path) -> None:
+    assert_counter_and_log_matter(train_embedding, embed_training, "step", tmp_path)
 
 
+@pytest.mark.slow
 def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A dataset's manifest is its checkpoint: its shards, and how far it had come."""
+    """The manifest of a dataset is its checkpoint: its shards and the next index."""
     monkeypatch.setattr(demonstrations, "SHARD_EPISODES", 2)
     problem, copies, append = load_problem("cartpole-swingup"), [], DemoFolder.append
 
@@ -239,7 +242,7 @@ def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         copies.append(shutil.copytree(folder.path, tmp_path / f"after-{len(copies) + 1}"))
 
     def run(out: Path) -> Ending:
-        with suppress(PartialResult):  # says that some are missing
+        with suppress(PartialResult):  # reports that some plans are missing
             plan_into(problem, out, num=6, seed=0, config=QUICK_PLANNER, workers=0)
         rows = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
         return {"hash": load_demos(out).hash, LOG: [row["planned"] for row in rows]}

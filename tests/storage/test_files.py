@@ -56,7 +56,7 @@ def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
     missed = []
     for i in range(len(whole)):
         if whole[i : i + 1].isspace():
-            continue  # white space outside strings carries nothing
+            continue  # white space outside of strings has no meaning
         path.write_bytes(whole[:i] + bytes([whole[i] ^ 1]) + whole[i + 1 :])
         try:
             read_sealed(path)
@@ -66,7 +66,7 @@ def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
     assert missed == []
 
 
-def test_arrays_and_description_travel_together(tmp_path: Path) -> None:
+def test_arrays_and_metadata_are_read_back(tmp_path: Path) -> None:
     arrays = {"a": np.arange(6.0).reshape(2, 3).T, "b": np.array(True), "c": np.zeros((0, 2), np.int32)}
     sha256 = write_arrays(tmp_path / "f.safetensors", arrays, metadata={"step": 7})
     back = read_arrays(tmp_path / "f.safetensors", sha256=sha256)
@@ -76,7 +76,7 @@ def test_arrays_and_description_travel_together(tmp_path: Path) -> None:
     assert read_arrays_and_metadata(tmp_path / "f.safetensors")[1] == {"step": 7}
 
 
-def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
+def test_truncated_arrays_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "f.safetensors"
     write_arrays(path, {"a": np.arange(6.0)})
     whole = path.read_bytes()
@@ -88,20 +88,20 @@ def test_truncated_arrays_are_refused(tmp_path: Path) -> None:
             read_arrays(path)
 
 
-def test_a_run_with_other_settings_is_refused_with_the_difference(tmp_path: Path) -> None:
+def test_a_run_with_other_settings_is_rejected_with_the_differences(tmp_path: Path) -> None:
     open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
     open_run(tmp_path / "run", {"seed": 0, "fit": {"steps": 10, "z_dim": 3}})
     with pytest.raises(PlanspaceError, match=r"fit.z_dim was 3, now 10; seed was 0, now 1"):
         open_run(tmp_path / "run", {"seed": 1, "fit": {"steps": 10, "z_dim": 10}})
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_other_content_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(PlanspaceError, match=r"not a planspace run \(it holds 'thesis.tex'\)"):
         open_run(tmp_path, {})
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(PlanspaceError, match="cannot write .*file/run: Not a directory"):
         make_folder(tmp_path / "file" / "run")
@@ -128,10 +128,10 @@ def write_all(folder: Path) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_a_file_lies_in_its_folder_which_may_be_a_link(kind: str, tmp_path: Path) -> None:
-    file = write_all(tmp_path / "far")[kind]
-    (tmp_path / "near").symlink_to(file.parent)
-    READERS[kind](tmp_path / "near" / file.name)
+def test_a_folder_may_be_a_link_but_not_a_file_out_of_it(kind: str, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "target")[kind]
+    (tmp_path / "link").symlink_to(file.parent)
+    READERS[kind](tmp_path / "link" / file.name)
     (file.parent / "alias").symlink_to(file.name)
     READERS[kind](file.parent / "alias")
     (tmp_path / "folder").mkdir()
@@ -146,12 +146,12 @@ def test_a_file_lies_in_its_folder_which_may_be_a_link(kind: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("part", ["embedding", "embedding-0", "checkpoint"])
-def test_a_part_of_a_run_lies_in_it(part: str, tmp_path: Path) -> None:
-    file = write_all(tmp_path / "far")["sealed"]
+def test_a_part_of_a_run_must_lie_in_it(part: str, tmp_path: Path) -> None:
+    file = write_all(tmp_path / "target")["sealed"]
     run = tmp_path / "run"
     run.mkdir()
     (run / part).symlink_to(file.parent)
-    read_sealed(run / part / file.name)  # of nothing
+    read_sealed(run / part / file.name)  # not part of a run
     for mark in ("config.json", "policies.json"):
         (run / mark).touch()
         with pytest.raises(
@@ -162,15 +162,15 @@ def test_a_part_of_a_run_lies_in_it(part: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_what_is_larger_than_memory_is_not_read(kind: str, tmp_path: Path) -> None:
+def test_a_file_larger_than_memory_is_rejected(kind: str, tmp_path: Path) -> None:
     file = write_all(tmp_path / "d")[kind]
-    os.truncate(file, 1 << 42)  # takes no room on the disk
+    os.truncate(file, 1 << 42)  # a sparse file
     with pytest.raises(PlanspaceError, match=f"{file} has {1 << 42} bytes; at most .* can be read here"):
         READERS[kind](file)
 
 
 @pytest.mark.parametrize("read", [read_json, read_sealed])
-def test_a_description_of_gigabytes_is_none(read: Any, tmp_path: Path) -> None:
+def test_json_of_gigabytes_is_rejected(read: Any, tmp_path: Path) -> None:
     file = write_all(tmp_path / "d")["json"]
     os.truncate(file, 3 << 30)
     with pytest.raises(PlanspaceError, match=f"has {3 << 30} bytes; at most {1 << 28} can be read here"):
@@ -178,7 +178,7 @@ def test_a_description_of_gigabytes_is_none(read: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "call"), [("json", "json.loads"), ("about", "safetensors.numpy.load")])
-def test_a_lack_of_memory_is_one_line(
+def test_too_little_memory_gives_one_line(
     kind: str, call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = write_all(tmp_path / "d")[kind]
@@ -191,7 +191,7 @@ def test_a_lack_of_memory_is_one_line(
         READERS[kind](file)
 
 
-def test_a_row_is_there_once(tmp_path: Path) -> None:
+def test_a_row_is_appended_once(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
 
     def append(*steps: int) -> list[int]:
@@ -201,14 +201,14 @@ def test_a_row_is_there_once(tmp_path: Path) -> None:
     assert append(1, 2) == [1, 2]
     assert append(1, 2) == [1, 2]  # as after an interrupt
     assert append(2, 3, 4) == [1, 2, 3, 4]
-    log.write_text(log.read_text().replace("4", "9"))  # damaged: it must not keep others away
+    log.write_text(log.read_text().replace("4", "9"))  # a damaged row must not keep others out
     assert append(4, 5) == [1, 2, 3, 9, 4, 5]
     log.write_text('[]\nnonsense\n{"other": 1}\n')
     append_rows(log, [{"step": 1}], key="step")
     assert len(log.read_text().splitlines()) == 4
 
 
-def test_no_row_is_added_to_a_file_elsewhere(tmp_path: Path) -> None:
+def test_no_row_is_appended_outside_of_the_folder(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     log = tmp_path / "run" / "log.jsonl"
     append_rows(log, [{"step": 1}], key="step")
@@ -222,7 +222,7 @@ def test_no_row_is_added_to_a_file_elsewhere(tmp_path: Path) -> None:
     assert (tmp_path / "thesis").read_text() == '{"step": 1}\n' and not (tmp_path / "new").exists()
 
 
-def test_a_lock_makes_no_file_elsewhere(tmp_path: Path) -> None:
+def test_a_lock_makes_no_file_outside_of_the_folder(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".writing-lock").symlink_to(tmp_path / "new")
     with pytest.raises(PlanspaceError, match="cannot write .*run"), lock_folder(tmp_path / "run"):

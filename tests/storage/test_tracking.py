@@ -12,7 +12,7 @@ pytest.importorskip("tensorboard")
 
 
 def read(folder: Path) -> dict[str, list[tuple[int, float]]]:
-    """What TensorBoard's own reader finds."""
+    """Read the scalars with TensorBoard's own reader."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     accumulator = EventAccumulator(str(folder))
@@ -21,7 +21,7 @@ def read(folder: Path) -> dict[str, list[tuple[int, float]]]:
     return {name: [(e.step, e.value) for e in accumulator.Scalars(name)] for name in names}
 
 
-def test_what_is_added_is_read_back(tmp_path: Path) -> None:
+def test_added_scalars_are_read_back(tmp_path: Path) -> None:
     with open_tracker(tmp_path / "run") as tracker:
         tracker.add(500, {"seed 0/bound": -1.5, "seed 1/bound": -2.5})
         tracker.add(1000, {"seed 0/bound": -0.5, "path_error": 0.25})
@@ -39,8 +39,8 @@ def test_a_crash_loses_nothing(tmp_path: Path) -> None:
     tracker.close()
 
 
-def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
-    """The first process got to 1500, its checkpoint to 500; the second repeats 1000, with another number."""
+def test_an_interrupted_run_is_continued(tmp_path: Path) -> None:
+    """The first process reached 1500, its checkpoint 500; the second repeats 1000 with another value."""
     for steps, value in (((500, 1000, 1500), 1.0), ((1000, 1500, 2000), 2.0)):
         with open_tracker(tmp_path) as tracker:
             for step in steps:
@@ -48,14 +48,14 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
     assert read(tmp_path) == {"bound": [(500, 1.0), (1000, 2.0), (1500, 2.0), (2000, 2.0)]}
 
 
-def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(PlanspaceError, match="cannot write .*Not a directory"):
         open_tracker(tmp_path / "file" / "run")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full disk to write to")
-def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_gives_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     message = r"^cannot write \S+/events\.out\S+: No space left on device\.$"
     with (
         open("/dev/full", "wb") as full,
@@ -67,7 +67,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         tracker.add(1, {"bound": 1.0})
 
 
-def test_without_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [n for n in sys.modules if n.startswith("tensorboard.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "tensorboard", None)
@@ -76,7 +76,7 @@ def test_without_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_neither_tensorflow_nor_torch_is_needed(tmp_path: Path) -> None:
+def test_tensorflow_and_torch_are_not_needed(tmp_path: Path) -> None:
     code = (
         "import sys\nfor name in ('tensorflow', 'torch'): sys.modules[name] = None\n"
         "import pathlib, planspace.storage.tracking as t\nassert 'tensorboard' not in sys.modules\n"
@@ -87,27 +87,27 @@ def test_neither_tensorflow_nor_torch_is_needed(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Nobody is logged in to Weights & Biases, and nobody can answer a question."""
+def logged_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No user is logged in to Weights & Biases, and standard input is closed."""
     for name in ("WANDB_API_KEY", "WANDB_MODE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr("sys.stdin", None)
 
 
-def test_wandb_keeps_the_run_in_its_folder_where_nobody_is_logged_in(nobody: None, tmp_path: Path) -> None:
+def test_wandb_runs_offline_without_a_login(logged_out: None, tmp_path: Path) -> None:
     wandb = pytest.importorskip("wandb")
 
     with open_trackers(("wandb",), tmp_path / "run") as add:
         add(4000, {"return/seed 0": -1.5})
         add(8000, {"return/seed 0": -0.5})
-    wandb.teardown()  # its service, a process of its own, may still be writing
+    wandb.teardown()  # its service process may still be writing
     (path,) = (tmp_path / "run" / "wandb").glob("offline-run-*/run-*.wandb")
-    data = path.read_bytes()  # protocol buffers: text as it is
+    data = path.read_bytes()  # protocol buffers store text as it is
     assert b"return/seed 0" in data and data.index(b"-1.5") < data.index(b"-0.5")
 
 
-def test_wandb_is_told_to_send_only_where_somebody_is(nobody: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wandb_credentials_are_found(logged_out: None, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not track._has_wandb_credentials()
     monkeypatch.setenv("WANDB_API_KEY", "0" * 40)
     assert track._has_wandb_credentials()
@@ -116,11 +116,11 @@ def test_wandb_is_told_to_send_only_where_somebody_is(nobody: None, monkeypatch:
     netrc.write_text("machine api.wandb.ai login user password " + "0" * 40)
     netrc.chmod(0o600)
     assert track._has_wandb_credentials()
-    netrc.write_text("no netrc at all")
+    netrc.write_text("not a netrc file")
     assert not track._has_wandb_credentials()
 
 
-def test_both_at_once_and_none(nobody: None, tmp_path: Path) -> None:
+def test_several_trackers_and_none(logged_out: None, tmp_path: Path) -> None:
     pytest.importorskip("wandb")
     with open_trackers(("tensorboard", "wandb", "tensorboard"), tmp_path / "both") as add:
         add(1, {"a": 2.0})
@@ -131,7 +131,7 @@ def test_both_at_once_and_none(nobody: None, tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
-def test_without_wandb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_wandb_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(PlanspaceError, match=r"needs the package wandb: pip install 'planspace\[track\]'"):
         open_wandb(tmp_path / "run")

@@ -1,4 +1,4 @@
-"""The folder of shipped models and problem files; imports nothing, so that tasks can name their models."""
+"""The folder of shipped models and problem files. This module imports nothing, so that tasks stay light."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Compiling MJCF text, and keeping MuJoCo's warnings off the disk and the terminal."""
+"""Compiling MJCF text, and silencing MuJoCo's warnings."""
 
 import warnings
 from collections.abc import Iterator
@@ -10,23 +10,23 @@ from planspace.errors import PlanspaceError, unknown
 from planspace.mjcf.model_check import check_self_contained
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
-"""What MuJoCo raises at a model that it does not take."""
+"""What MuJoCo raises for a model that it rejects."""
 
 GeomPairs = tuple[tuple[str, str], ...]
 """Pairs of geom names."""
 
 
 def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
-    """Compiles an MJCF text which is whole, with MuJoCo's silent reset of diverged states switched off.
+    """Compile a self-contained MJCF text, with MuJoCo's silent reset of diverged states turned off.
 
     Args:
         xml: the model.
-        watched: pairs of geoms whose contact is to be watched: each gets a contact sensor, the last ones of
-            the model, which does not change its dynamics.
+        watched: pairs of geoms; each pair gets a contact sensor. These are the last sensors of the model and
+            do not change its dynamics.
 
     Raises:
-        PlanspaceError: it refers to files, asks for too much, or MuJoCo does not accept it; the message is
-            then MuJoCo's.
+        PlanspaceError: the model refers to files, requests too much, or MuJoCo rejects it; then the message
+            quotes MuJoCo's.
     """
     check_self_contained(xml)
     try:
@@ -57,12 +57,12 @@ def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
 
 @contextmanager
 def stepping() -> Iterator[None]:
-    """As `quiet`; where MuJoCo cannot go on, that is an error of ours.
+    """Silence MuJoCo inside the block and turn its failures into our error.
 
     Raises:
-        PlanspaceError: it has not enough memory for the model, or gives up for another reason.
+        PlanspaceError: MuJoCo has too little memory for the model, or fails for another reason.
     """
-    with quiet():
+    with silenced():
         try:
             yield
         except (RuntimeError, MemoryError, mujoco.FatalError) as error:
@@ -73,15 +73,15 @@ def stepping() -> Iterator[None]:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """As `quiet`; MuJoCo's compiler warns by way of Python, too, in lines that quote the model's names."""
-    with quiet(), warnings.catch_warnings():
+    """Silence MuJoCo inside the block, also the warnings of its compiler, which are Python warnings."""
+    with silenced(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """What MuJoCo warns of is counted, and printed nowhere: physics that run away would fill the disk."""
+def silenced() -> Iterator[None]:
+    """Make MuJoCo count its warnings without printing them: diverging physics would fill the disk."""
     before, silent = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
     silent.logto_console = silent.logto_file = False
     silent.set()

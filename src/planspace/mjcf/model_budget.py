@@ -1,7 +1,7 @@
-"""How much a model asks for, counted over all its text before MuJoCo sees it.
+"""Limits on what a model may request, checked in its text before MuJoCo compiles it.
 
-A few characters of MJCF can ask for any amount of memory or time: copies of copies, pictures, sensors,
-iterations. The bounds lie far above any robot's. Times and sizes are those of MuJoCo 3.17.
+A few characters of MJCF can request any amount of memory or time: nested copies, textures, sensors, solver
+iterations. The limits are far above what any robot needs. Times and sizes are those of MuJoCo 3.17.
 """
 
 import math
@@ -12,30 +12,30 @@ from collections.abc import Iterator
 from planspace.errors import PlanspaceError
 
 MAX_DEPTH = 200
-"""Elements within elements."""
-PARTS, POINTS, LINKS = "parts, multiplied", "points of flexible bodies", "links of composite bodies"
+"""Levels of nested elements."""
+PARTS, POINTS, LINKS = "replicated elements", "points of flexible bodies", "links of composite bodies"
 CELLS, NUMBERS = "cells", "numbers"
-MOST = {
-    PARTS: 5_000,  # by replicate; time grows with their square, to 5 s
+MAX_TOTALS = {
+    PARTS: 5_000,  # made by `replicate`; the compile time grows with their square, to 5 s
     POINTS: 5_000,  # likewise, to 3 s
-    LINKS: 500,  # of composite bodies, which are chains; time grows with their cube, to 4 s
-    CELLS: 1 << 26,  # pixels, points of height fields, and of meshes made by MuJoCo, each of which is many
-    NUMBERS: 1_000_000,  # of all other kinds, most of which every simulation has
+    LINKS: 500,  # a composite body is a chain; the compile time grows with their cube, to 4 s
+    CELLS: 1 << 26,  # pixels, points of height fields, and memory of meshes made by MuJoCo
+    NUMBERS: 1_000_000,  # everything else; most of them exist in every simulation
 }
-"""What a whole model may ask for of each kind."""
+"""What a whole model may request of each kind."""
 COUNTS = ("num", "dim", "actdim", "nsample", "nuserdata")
-"""Attributes that are numbers of numbers, of whatever element; a numeric's is called size."""
+"""Attributes that hold a count, for any element. That of a `numeric` is called `size`."""
 INHERITED = {*COUNTS, "width", "height", "resolution"}
-"""What an element may take from a default."""
+"""Attributes that an element may inherit from a default."""
 AREAS = {
     "hfield": ("nrow", "ncol"),
     "camera": ("resolution",),
     "global": ("offwidth", "offheight"),
     "quality": ("shadowsize", "shadowsize"),
 }
-"""Attributes that are the sides of an area."""
-CELLS_A_POINT = 200
-"""Of a mesh made by MuJoCo: its hull takes 1.5 kB a point."""
+"""Element to the attributes that are the sides of an area."""
+CELLS_PER_POINT = 200
+"""Cells for each point of a mesh made by MuJoCo, whose hull takes 1.5 kB per point."""
 LIMITS = {
     "iterations": 10_000,
     "ls_iterations": 10_000,
@@ -51,54 +51,56 @@ LIMITS = {
     "numquads": 1_000,
     "offsamples": 1_000,
 }
-"""Most that attributes may be, of whatever element."""
+"""Largest values of attributes, for any element."""
 SIZE_NAMES = re.compile("num|count|dim|iter|sample|resol|size|width|height|depth|^n(?!ame)")
-"""Names that mean a size, now or in another MuJoCo: none is more than `MOST[NUMBERS]`."""
-STEP_S = 1e-6, 1.0
-"""Bounds of the time step; no robot is simulated with a longer or shorter one."""
+"""Names of attributes that hold a size, in this or a later MuJoCo: at most `MAX_TOTALS[NUMBERS]` each."""
+TIME_STEP_RANGE_S = 1e-6, 1.0
+"""Bounds of the time step; no robot is simulated with a shorter or longer one."""
 MAX_LENGTH_STEPS = 100_000
-"""Steps in which MuJoCo may look for the range of an actuator's length while it compiles."""
+"""Steps that MuJoCo may simulate to find the length range of an actuator while it compiles."""
 MAX_MEMORY_MB = 1024
-"""What a model may reserve for the solver."""
+"""Memory that a model may reserve for the solver."""
 MEMORY = {"memory", "nstack"}
 MEGABYTES = {"": 1 / (1 << 20), "K": 1 / 1024, "M": 1.0, "G": 1024.0, "T": 1024.0**2, "P": 1024.0**3}
-WRITTEN_OUT = ("direct", "mesh", "gmsh")
-"""Kinds of flexible bodies whose points stand in the text or in a file."""
+EXPLICIT_TYPES = ("direct", "mesh", "gmsh")
+"""Types of flexible bodies whose points are listed in the model or in a file."""
 
 
 def check_budget(root: ElementTree.Element, where: str) -> None:
-    """Refuses a model that asks for more than any robot needs.
+    """Reject a model that requests more than any robot needs.
 
     Args:
-        root: the model; what it includes stands within its `include` elements.
+        root: the model; included files are children of their `include` elements.
         where: its name, for messages.
 
     Raises:
-        PlanspaceError: it asks for too much, by the element that is named.
+        PlanspaceError: the model requests too much; the message names the element.
     """
-    asked = dict.fromkeys(MOST, 0.0)
-    elements = of_every = longest = 0.0
-    model = _Model(root, where)
-    for element, times in _multiplied(root, 1.0, where):
+    totals = dict.fromkeys(MAX_TOTALS, 0.0)
+    num_elements = num_per_element = most_user_numbers = 0.0
+    model = _Requests(root, where)
+    for element, copies in _with_copies(root, 1.0, where):
         _check_limits(element, where)
-        for kind, number in model.asked(element):
-            asked[kind] += times * number
-            elements += times * number if kind in (POINTS, LINKS) else 0.0
-        elements += times
-        asked[PARTS] += times if times > 1 else 0.0
-        of_every += sum(_product(element.get(name), where) for name in element.attrib if name[:5] == "nuser")
-        of_every += _product(element.get("nkey"), where) + (element.tag == "key")
-        longest = max(longest, len(element.get("user", "").split()))
-        total = asked | {NUMBERS: asked[NUMBERS] + (of_every + longest) * elements}
-        for kind, number in total.items():
-            if number > MOST[kind]:
+        for kind, number in model.of(element):
+            totals[kind] += copies * number
+            num_elements += copies * number if kind in (POINTS, LINKS) else 0.0
+        num_elements += copies
+        totals[PARTS] += copies if copies > 1 else 0.0
+        sizes = [element.get(name) for name in element.attrib if name.startswith("nuser")]
+        num_per_element += sum(_product(size, where) for size in sizes)
+        num_per_element += _product(element.get("nkey"), where) + (element.tag == "key")
+        most_user_numbers = max(most_user_numbers, len(element.get("user", "").split()))
+        numbers = totals[NUMBERS] + (num_per_element + most_user_numbers) * num_elements
+        for kind, number in (totals | {NUMBERS: numbers}).items():
+            if number > MAX_TOTALS[kind]:
                 raise PlanspaceError(
-                    f"{where} asks for {number:.3g} {kind}, by <{element.tag}>; {MOST[kind]} may be."
+                    f"{where} requests {number:.3g} {kind} at <{element.tag}>; the limit is "
+                    f"{MAX_TOTALS[kind]}."
                 )
 
 
-class _Model:
-    """What each element of a model asks for; where it does not say, by the largest default."""
+class _Requests:
+    """What each element of a model requests; a missing attribute counts as its largest default."""
 
     def __init__(self, root: ElementTree.Element, where: str):
         self._where = where
@@ -107,10 +109,10 @@ class _Model:
             for name, text in ((n, t) for element in default.iter() for n, t in element.attrib.items()):
                 if name in INHERITED and self._size(text) >= self._size(self._defaults.get(name)):
                     self._defaults[name] = text
-        self._view = max((self._get(camera, "resolution") for camera in root.iter("camera")), default=0.0)
+        self._pixels = max((self._get(camera, "resolution") for camera in root.iter("camera")), default=0.0)
 
-    def asked(self, element: ElementTree.Element) -> Iterator[tuple[str, float]]:
-        """Kinds and numbers."""
+    def of(self, element: ElementTree.Element) -> Iterator[tuple[str, float]]:
+        """Kinds and numbers that an element requests."""
         tag, get = element.tag, self._get
         for name in COUNTS:
             yield NUMBERS, get(element, name)
@@ -118,11 +120,11 @@ class _Model:
             yield CELLS, math.prod(get(element, name) for name in AREAS[tag])
         if tag == "texture":
             width, height = get(element, "width"), get(element, "height")
-            flat = element.get("type", "cube") == "2d"
-            yield CELLS, width * (height if flat else max(height, 6 * width))  # a cube has six sides
+            is_flat = element.get("type", "cube") == "2d"
+            yield CELLS, width * (height if is_flat else max(height, 6 * width))  # a cube has six sides
         elif tag == "mesh":
             side = max(map(self._size, element.get("params", "0").split()), default=0.0)
-            yield CELLS, CELLS_A_POINT * side**2
+            yield CELLS, CELLS_PER_POINT * side**2
         elif tag == "composite":
             yield LINKS, self._size(element.get("count"))
         elif tag == "flexcomp":
@@ -130,10 +132,10 @@ class _Model:
         elif tag == "numeric":
             yield NUMBERS, self._size(element.get("size"))
         elif tag == "rangefinder" and "camera" in element.attrib:
-            yield NUMBERS, self._view * max(1, len(element.get("data", "").split()))
+            yield NUMBERS, self._pixels * max(1, len(element.get("data", "").split()))
 
     def _points(self, element: ElementTree.Element) -> float:
-        if element.get("type", "grid") in WRITTEN_OUT:
+        if element.get("type", "grid") in EXPLICIT_TYPES:
             return len(element.get("point", "").split()) / 3
         return self._size(element.get("count")) or 10.0**3  # MuJoCo's default
 
@@ -149,17 +151,19 @@ def _check_limits(element: ElementTree.Element, where: str) -> None:
     for name, text in element.attrib.items():
         if tag == "size" and name in MEMORY:
             if _megabytes(text, where) > MAX_MEMORY_MB:
-                raise PlanspaceError(f"{where} reserves more than {MAX_MEMORY_MB} MB, by {name}.")
+                raise PlanspaceError(f"{where} reserves more than {MAX_MEMORY_MB} MB with {name}.")
         elif name in LIMITS and _product(text, where) > LIMITS[name]:
-            raise PlanspaceError(f"{where} has {name}={text!r:.40}; at most {LIMITS[name]} may be.")
-        elif SIZE_NAMES.search(name) and _largest(text) > MOST[NUMBERS]:
-            raise PlanspaceError(f"{where} has {tag} {name}={text!r:.40}: too much.")
+            raise PlanspaceError(f"{where} has {name}={text!r:.40}; the limit is {LIMITS[name]}.")
+        elif SIZE_NAMES.search(name) and _largest(text) > MAX_TOTALS[NUMBERS]:
+            raise PlanspaceError(
+                f"{where} has {tag} {name}={text!r:.40}; the limit is {MAX_TOTALS[NUMBERS]}."
+            )
     if tag == "option" and "timestep" in element.attrib:
-        least, most = STEP_S
+        least, most = TIME_STEP_RANGE_S
         if not least <= _number(element.attrib["timestep"], where) <= most:
             raise PlanspaceError(
-                f"{where} has timestep={element.attrib['timestep']!r:.40}; a time step is at least {least:g} "
-                f"s and at most {most:g} s."
+                f"{where} has timestep={element.attrib['timestep']!r:.40}; it must be between {least:g} s "
+                f"and {most:g} s."
             )
     if tag == "lengthrange":
         total, step = (
@@ -169,27 +173,27 @@ def _check_limits(element: ElementTree.Element, where: str) -> None:
             raise PlanspaceError(f"{where} has a lengthrange of more than {MAX_LENGTH_STEPS} steps.")
 
 
-def _multiplied(
-    element: ElementTree.Element, times: float, where: str, depth: int = 1
+def _with_copies(
+    element: ElementTree.Element, copies: float, where: str, depth: int = 1
 ) -> Iterator[tuple[ElementTree.Element, float]]:
-    """Every element, and how many of it there will be."""
+    """Every element, and how many copies of it the compiled model has."""
     if depth > MAX_DEPTH:
-        raise PlanspaceError(f"{where} has elements more than {MAX_DEPTH} deep.")
-    yield element, times
+        raise PlanspaceError(f"{where} has elements nested more than {MAX_DEPTH} levels deep.")
+    yield element, copies
     if element.tag == "replicate":
-        times *= max(1.0, _product(element.get("count"), where))
+        copies *= max(1.0, _product(element.get("count"), where))
     for child in element:
-        yield from _multiplied(child, times, where, depth + 1)
+        yield from _with_copies(child, copies, where, depth + 1)
 
 
 def _product(text: str | None, where: str) -> float:
-    """Of the numbers in a text, each at least 1; 0 where there is none."""
+    """Product of the numbers in a text, each at least 1; 0 if there are none."""
     numbers = [max(1.0, abs(_number(number, where))) for number in (text or "").split()]
     return math.prod(numbers) if numbers else 0.0
 
 
 def _largest(text: str) -> float:
-    """The largest of the first numbers in a text, which may hold none."""
+    """Largest absolute value among the first words of a text that are numbers, or 0."""
     largest = 0.0
     for word in text.split(None, 4)[:4]:
         try:
@@ -205,12 +209,12 @@ def _number(text: str, where: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise PlanspaceError(f"{where} has {text[:40]!r} where a number belongs.")
+        raise PlanspaceError(f"{where} has {text[:40]!r} where a number is expected.")
     return number
 
 
 def _megabytes(text: str, where: str) -> float:
     unit = text[-1:].upper() if text[-1:].isalpha() else ""
     if unit not in MEGABYTES:
-        raise PlanspaceError(f"{where} has {text[:40]!r} where an amount of memory belongs.")
+        raise PlanspaceError(f"{where} has {text[:40]!r} where an amount of memory is expected.")
     return _number(text[: len(text) - len(unit)], where) * MEGABYTES[unit]

@@ -1,4 +1,4 @@
-"""Model files: read without leaving their folder, made into one text, joints held."""
+"""Reading model files: includes and meshes are merged into one text, and joints can be locked."""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -17,21 +17,21 @@ MAX_MODEL_BYTES = 16 << 20
 
 
 def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
-    """Reads a model file as one self-contained MJCF text.
+    """Read a model file as one self-contained MJCF text.
 
     Args:
-        path: the MJCF file; includes and meshes are merged into the text, pictures on surfaces left out.
-        joints: the joints that are to move. The others are held where the model puts them: they are taken
-            out, with the actuators and sensors that stand on them. None keeps all.
+        path: the MJCF file; includes and meshes are merged into the text, textures from files are left out.
+        joints: names of the joints that can move. The others are locked at the model's reference pose: they
+            are removed together with their actuators and sensors. None keeps all joints.
 
     Raises:
-        PlanspaceError: it cannot be read or does not compile (with MuJoCo's message, which has the line), or
-            it refers to a file outside its folder, or to one that text cannot hold (a height field, a skin).
+        PlanspaceError: the file cannot be read or does not compile (MuJoCo's message gives the line), or it
+            refers to a file outside its folder or to one that text cannot hold (a height field, a skin).
         UsageError: a joint is not in the model.
     """
     text = read_text(path)
     files = _referred_files(path)
-    check_assets((file for file in files if file.exists()), str(path))  # of the places where one may lie
+    check_assets((file for file in files if file.exists()), str(path))  # the places where each file may be
     try:
         with compiling():
             spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
@@ -39,43 +39,43 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
             for name in joints or ():
                 if name not in known:
                     raise unknown("joint", name, known)
-            held = [name for name in known if joints is not None and name not in joints]
-            if not files and not held:
+            locked = [name for name in known if joints is not None and name not in joints]
+            if not files and not locked:
                 spec.compile()
                 return text
-            _take_in_files(spec)
+            _merge_files(spec)
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
     try:
         with compiling():
-            for name in held:
-                _hold(spec, name)
+            for name in locked:
+                _lock(spec, name)
             spec.compile()
             return spec.to_xml()
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(
-            f"{path}: the joints {', '.join(held)} cannot be held: {' '.join(str(error).split())}. Plan for "
-            "them too, or take out of the model what refers to them."
+            f"{path}: the joints {', '.join(locked)} cannot be locked: {' '.join(str(error).split())}. Add "
+            "them to the joints of the problem, or remove what refers to them from the model."
         ) from error
 
 
 def read_text(path: Path) -> str:
-    """Reads a file of a model, of bounded size.
+    """Read one file of a model as text.
 
     Raises:
-        PlanspaceError: missing, too large, or no text.
+        PlanspaceError: the file is missing, too large, or not text.
     """
     try:
         return read_bytes(path, most=MAX_MODEL_BYTES, may_be_link=True).decode()
     except UnicodeDecodeError as error:
-        raise PlanspaceError(f"{path} is no text: {error}.") from error
+        raise PlanspaceError(f"{path} is not a text file: {error}.") from error
 
 
 def _referred_files(path: Path) -> list[Path]:
-    """The files a model refers to, directly or not.
+    """The files that a model refers to, directly or through included files.
 
     Raises:
-        PlanspaceError: one lies outside the model's folder, is included twice, or cannot become text.
+        PlanspaceError: a file is outside the model's folder, is included twice, or cannot become text.
     """
     folder = path.parent.resolve()
     roots = {path.resolve(): _root(path)}
@@ -101,15 +101,15 @@ def _referred_files(path: Path) -> list[Path]:
                 name = element.attrib[attribute]
                 if element.tag not in ("mesh", "texture"):
                     raise PlanspaceError(
-                        f"{file} refers to {name!r}: a dataset holds its whole model as text, which cannot "
-                        f"hold a {element.tag} in a file."
+                        f"{file} refers to {name!r}: a dataset holds its model as text, which cannot hold "
+                        f"the file of an element <{element.tag}>."
                     )
                 key = {"mesh": "meshdir", "texture": "texturedir"}[element.tag]
                 places = {""} | {c.get(k, "") for c in compilers for k in (key, "assetdir")}
                 referred += [_inside(file, folder, place, name) for place in sorted(places)]
     for element, root in included_by:
         element.extend(root)
-    check_budget(roots[path.resolve()], str(path))  # of all files together
+    check_budget(roots[path.resolve()], str(path))  # all files together
     return referred
 
 
@@ -120,19 +120,19 @@ def _root(path: Path) -> ElementTree.Element:
 def _inside(path: Path, folder: Path, place: str, name: str) -> Path:
     file = (folder / place / name).resolve()
     if ":" in name or not file.is_relative_to(folder):
-        raise PlanspaceError(f"{path} refers to {name!r}, outside its folder; copy it beside the model.")
+        raise PlanspaceError(f"{path} refers to {name!r}, outside its folder; copy it next to the model.")
     return file
 
 
-def _take_in_files(spec: mujoco.MjSpec) -> None:
-    """Writes the vertices of meshes into the model, and puts plain colour in place of pictures."""
+def _merge_files(spec: mujoco.MjSpec) -> None:
+    """Write the vertices of mesh files into the model, and replace texture files by a plain colour."""
     model = spec.compile()
     for mesh in [m for m in spec.meshes if m.file]:
         i = model.mesh(mesh.name).id
         first, count = model.mesh_vertadr[i], model.mesh_vertnum[i]
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.mesh_quat[i])  # MuJoCo moved the vertices into the mesh's own frame
-        vertices = model.mesh_vert[first : first + count] @ turn.reshape(3, 3).T + model.mesh_pos[i]
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.mesh_quat[i])  # MuJoCo moved the vertices to the mesh's frame
+        vertices = model.mesh_vert[first : first + count] @ rotation.reshape(3, 3).T + model.mesh_pos[i]
         first, count = model.mesh_faceadr[i], model.mesh_facenum[i]
         mesh.uservert = vertices.ravel().tolist()
         mesh.userface = model.mesh_face[first : first + count].ravel().tolist()
@@ -144,14 +144,14 @@ def _take_in_files(spec: mujoco.MjSpec) -> None:
         texture.rgb1 = texture.rgb2 = [0.8, 0.8, 0.8]
 
 
-def _hold(spec: mujoco.MjSpec, joint: str) -> None:
-    """Takes a joint out, with the actuators and sensors on it, and keyframes, which would no longer fit."""
+def _lock(spec: mujoco.MjSpec, joint: str) -> None:
+    """Remove a joint, its actuators and sensors, and all keyframes, which would no longer fit."""
     for key in list(spec.keys):
         spec.delete(key)
-    dropped = [a.name for a in spec.actuators if a.target == joint]
+    removed = [a.name for a in spec.actuators if a.target == joint]
     for actuator in [a for a in spec.actuators if a.target == joint]:
         spec.delete(actuator)
-    on_it = {(mujoco.mjtObj.mjOBJ_JOINT, joint)} | {(mujoco.mjtObj.mjOBJ_ACTUATOR, a) for a in dropped}
-    for sensor in [s for s in spec.sensors if (s.objtype, s.objname) in on_it]:
+    measured = {(mujoco.mjtObj.mjOBJ_JOINT, joint)} | {(mujoco.mjtObj.mjOBJ_ACTUATOR, a) for a in removed}
+    for sensor in [s for s in spec.sensors if (s.objtype, s.objname) in measured]:
         spec.delete(sensor)
     spec.delete(spec.joint(joint))

@@ -1,7 +1,7 @@
-"""Models of strangers, read and compiled in a process of its own, within bounds of memory and time.
+"""Untrusted models: read and compiled in a subprocess with limits on memory and time.
 
-What crashes, hangs or fills the memory there is an error here. What comes back is text, which is known to
-compile within the bounds.
+If the subprocess crashes, hangs or runs out of memory, this process raises an error. The subprocess returns
+text that compiles within the limits.
 """
 
 import json
@@ -17,31 +17,30 @@ CPU_S, WALL_S = 60, 120
 
 
 def read_model_in_subprocess(path: Path, joints: Sequence[str] | None = None) -> str:
-    """As `read_model`, in a process of its own.
+    """Call `read_model` in a subprocess.
 
     Raises:
-        PlanspaceError: it cannot be read or does not compile, or not within the bounds.
+        PlanspaceError: the model cannot be read, or does not compile within the limits.
         UsageError: a joint is not in the model.
     """
-    return _asked(
-        {"path": str(path.absolute()), "joints": None if joints is None else list(joints)}, str(path)
-    )
+    request = {"path": str(path.absolute()), "joints": None if joints is None else list(joints)}
+    return _run_subprocess(request, str(path))
 
 
 def check_compiles(xml: str) -> None:
-    """Sees in a process of its own whether a model's text compiles.
+    """Check in a subprocess that a model's text compiles.
 
     Raises:
-        PlanspaceError: it does not, or not within the bounds.
+        PlanspaceError: the model does not compile within the limits.
     """
-    _asked({"xml": xml}, "the model")
+    _run_subprocess({"xml": xml}, "the model")
 
 
-def _asked(question: dict[str, object], where: str) -> str:
+def _run_subprocess(request: dict[str, object], where: str) -> str:
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planspace.mjcf.subprocess_model"],
-            input=json.dumps({**question, "memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S}).encode(),
+            input=json.dumps({**request, "memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S}).encode(),
             capture_output=True,
             timeout=WALL_S,
             check=False,
@@ -49,30 +48,30 @@ def _asked(question: dict[str, object], where: str) -> str:
         answer = json.loads(done.stdout)
     except (subprocess.TimeoutExpired, ValueError):
         raise PlanspaceError(
-            f"{where} does not compile within {CPU_S} s of one processor and {MEMORY_BYTES >> 30} GiB of "
-            "memory, or crashes MuJoCo; planspace does not take it."
+            f"{where} does not compile within {CPU_S} s of CPU time and {MEMORY_BYTES >> 30} GiB of memory, "
+            "or crashes MuJoCo."
         ) from None
     if "error" in answer:
         raise (UsageError if answer["usage"] else PlanspaceError)(answer["error"])
     return str(answer["text"])
 
 
-def _answer() -> None:
-    """What the process does: one question on standard input, one answer on standard output."""
+def _main() -> None:
+    """Read one request from standard input and write one answer to standard output."""
     import os
 
-    question = json.load(sys.stdin)
+    request = json.load(sys.stdin)
     out = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # MuJoCo may print
-    _bound(question["memory_bytes"], question["cpu_s"])
+    os.dup2(2, 1)  # what MuJoCo prints goes to standard error
+    _limit_resources(request["memory_bytes"], request["cpu_s"])
     from planspace.mjcf.compile import load_model
     from planspace.mjcf.read import read_model
 
     try:
-        if "path" in question:
-            text = read_model(Path(question["path"]), question["joints"])
+        if "path" in request:
+            text = read_model(Path(request["path"]), request["joints"])
         else:
-            text = question["xml"]
+            text = request["xml"]
             load_model(text)
         answer = {"text": text}
     except PlanspaceError as error:
@@ -81,10 +80,10 @@ def _answer() -> None:
     out.flush()
 
 
-def _bound(memory_bytes: int, cpu_s: int) -> None:
+def _limit_resources(memory_bytes: int, cpu_s: int) -> None:
     try:
         import resource
-    except ImportError:  # Windows has the time limit alone
+    except ImportError:  # Windows: only the time limit applies
         return
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
@@ -92,4 +91,4 @@ def _bound(memory_bytes: int, cpu_s: int) -> None:
 
 
 if __name__ == "__main__":
-    _answer()
+    _main()

@@ -16,7 +16,7 @@ from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import PAGE, Failure
 from planspace.seams import name_of
 from planspace.tasks.problem import Problem
-from planspace.workers import count_cores, end_with_parent, worker_environment
+from planspace.workers import count_cores, exit_with_parent, worker_environment
 
 ADVICE = f"Put the planner in a module of its own, or plan with workers=0. See {PAGE}."
 
@@ -111,5 +111,5 @@ def _pipeline(packed: bytes) -> Pipeline:
 
 def _start_worker() -> None:
     """Leave Ctrl-C to the parent, which stops the workers after their current plan; end with the parent."""
-    end_with_parent()
+    exit_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

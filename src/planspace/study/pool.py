@@ -18,7 +18,7 @@ from planspace.errors import PlanspaceError
 from planspace.storage.json_files import read_json, write_json
 from planspace.study.execute import execute
 from planspace.study.unit import Unit
-from planspace.workers import available_cores, count_cores, end_with_parent, worker_environment
+from planspace.workers import available_cores, count_cores, exit_with_parent, worker_environment
 
 REFRESH_S = 1.0
 """How long a pool waits for something to happen."""
@@ -110,7 +110,7 @@ def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
     """A worker's life: one unit."""
     os.setpgid(0, 0)  # Ctrl-C is the parent's to hear, who then says so
     signal.signal(signal.SIGTERM, _interrupt)
-    end_with_parent()
+    exit_with_parent()
     cores = available_cores()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores[slot::workers] or cores)

@@ -17,7 +17,7 @@ from planspace.plan.ompl.planners import OMPL
 from planspace.plan.planner import Failure, Plan
 from planspace.plan.query import Query
 from planspace.tasks.problem import Goal, Problem
-from planspace.workers import end_with_parent
+from planspace.workers import exit_with_parent
 
 GRACE_S = 60.0
 """A process is killed this many seconds after its time was up."""
@@ -72,7 +72,7 @@ def _child(
     seed: int,
 ) -> None:
     """Run in the process: search, answer, and leave at once, before OMPL's destructors can crash."""
-    end_with_parent()
+    exit_with_parent()
     with open(os.devnull, "w") as quiet:
         os.dup2(quiet.fileno(), 1)
     try:
