@@ -14,14 +14,18 @@ from planspace.envs import register_tasks
 if TYPE_CHECKING:
     from planspace.demos.dataset import Demos as Demos
     from planspace.demos.load import load_demos as load_demos
+    from planspace.embed.config import FitConfig as FitConfig
     from planspace.embed.embedding import Embedding as Embedding
     from planspace.embed.embedding import load_embedding as load_embedding
+    from planspace.embed.fit import fit_embedding as fit_embedding
     from planspace.envs.make import make_env as make_env
     from planspace.envs.make import wrap as wrap
     from planspace.errors import PartialResult as PartialResult
     from planspace.errors import PlanspaceError as PlanspaceError
     from planspace.errors import UsageError as UsageError
+    from planspace.plan.config import PlanConfig as PlanConfig
     from planspace.plan.demonstrations import plan_demos as plan_demos
+    from planspace.rl.config import TrainConfig as TrainConfig
     from planspace.rl.saved_policy import Policy as Policy
     from planspace.rl.saved_policy import load_policy as load_policy
     from planspace.rl.trained import TrainedPolicies as TrainedPolicies
@@ -33,13 +37,17 @@ if TYPE_CHECKING:
 _MODULE_OF = {
     "Demos": "planspace.demos.dataset",
     "Embedding": "planspace.embed.embedding",
+    "FitConfig": "planspace.embed.config",
     "PartialResult": "planspace.errors",
+    "PlanConfig": "planspace.plan.config",
     "PlanspaceError": "planspace.errors",
     "Policy": "planspace.rl.saved_policy",
     "Problem": "planspace.tasks.problem",
     "Task": "planspace.tasks.task",
+    "TrainConfig": "planspace.rl.config",
     "TrainedPolicies": "planspace.rl.trained",
     "UsageError": "planspace.errors",
+    "fit_embedding": "planspace.embed.fit",
     "load_demos": "planspace.demos.load",
     "load_embedding": "planspace.embed.embedding",
     "load_policy": "planspace.rl.saved_policy",

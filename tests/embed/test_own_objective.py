@@ -17,7 +17,7 @@ from planspace.embed.fit import fit_embedding
 from planspace.embed.objective import Objective, as_objective
 from planspace.errors import PlanspaceError, UsageError
 
-from .own_objective import Contrast, midpoint_loss
+from ..strangers.own_objective import Contrast, midpoint_loss
 
 CONFIG = replace(PRESETS["modern"], steps=100, batch=32, hidden=(16, 16))
 PAGE = r"[Ss]ee docs/howto/own-objective.md\."
@@ -40,7 +40,7 @@ def test_a_class_draws_its_samples_and_its_settings_and_terms_are_recorded(
         for m in (0.5, 3.0)
     )
     saved = tight.about["settings"]["fit"]["objective"]
-    assert saved["name"] == "tests.embed.own_objective:Contrast" and saved["margin"] == 0.5
+    assert saved["name"] == "tests.strangers.own_objective:Contrast" and saved["margin"] == 0.5
     assert len(saved["source_sha256"]) == 64
     row = json.loads((tmp_path / "0.5" / "log.jsonl").read_text().splitlines()[-1])
     assert {"bound", "pull", "push"} <= row.keys()

@@ -19,7 +19,7 @@ from planspace.rl.training import train_policies
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task, never
 
-from .cross_entropy import CrossEntropy
+from ..strangers.cross_entropy import CrossEntropy
 
 SHORT = TrainConfig(CrossEntropy(), num_seeds=2, steps=3000, batch_steps=1000)
 

@@ -73,3 +73,6 @@ class CrossEntropy:
 def arrays(mlp: MLP) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Weights and biases of each layer."""
     return [np.asarray(w) for w in mlp.weights], [np.asarray(b) for b in mlp.biases]
+
+
+ALGORITHM = CrossEntropy()
