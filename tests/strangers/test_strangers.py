@@ -10,8 +10,8 @@ import pytest
 import planspace as ps
 from planspace.cli import main
 
-from .full_force import FullForce
 from .cross_entropy import CrossEntropy
+from .full_force import FullForce
 from .own_objective import midpoint_loss
 from .push_cart import FASTEST_S, MODEL, PROBLEM, TASK
 
