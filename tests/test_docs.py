@@ -94,7 +94,7 @@ def test_page_runs(
     names: dict = {}
     for block in blocks(Path(page)):
         if block.language == "file":
-            Path(block.file).write_text(block.text)
+            save(block, monkeypatch)
         elif block.language == "python":
             exec(block.text, names)
         elif block.language == "shell":
@@ -102,6 +102,12 @@ def test_page_runs(
                 run_line(line, capsys)
         else:
             assert block.language in READ_ALONE, f"nothing checks the {block.language} blocks of {page}"
+
+
+def save(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save a file of a page, and forget a module of the same name."""
+    Path(block.file).write_text(block.text)
+    monkeypatch.delitem(sys.modules, Path(block.file).stem, raising=False)
 
 
 def run_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,9 +123,17 @@ def run_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert done.returncode == 0, done.stderr
 
 
+PLACEHOLDERS = {"N": "1", "FILE.yaml": "pendulum"}
+
+
 @pytest.mark.parametrize("page", [str(page) for page in PAGES])
-def test_named_commands_parse(page: str) -> None:
+def test_named_commands_parse(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measurements take too long to repeat here, so this only checks that their commands parse."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for block in blocks(Path(page)):
+        if block.language == "file":
+            save(block, monkeypatch)
     text = re.sub(r"^```.*?^```$", "", (DOCS / page).read_text(), flags=re.MULTILINE | re.DOTALL)
     lines = re.findall(r"^ {4}(planspace .*|python .*)$", text, re.MULTILINE)
     lines += [code for code in re.findall(r"`(planspace [^`]+|python [^`]+)`", text.replace("\n", " "))]
@@ -131,7 +145,7 @@ def test_named_commands_parse(page: str) -> None:
             for option in re.findall(r"--[\w-]+", line.partition(";")[0]):
                 assert f'"{option}"' in (ROOT / script).read_text(), line
         else:
-            assert_parses(["1" if word == "N" else word for word in words[1:]], line)
+            assert_parses([PLACEHOLDERS.get(word, word) for word in words[1:]], line)
 
 
 def assert_parses(words: list[str], line: str) -> None:
