@@ -142,7 +142,7 @@ def draw_system() -> None:
 
 
 GROUND = {
-    "errors, progress\nworkers, seams": "",
+    "errors, progress\nworkers, seams\nsummary": "",
     "storage": "atomic files,\ncheckpoints",
     "mjcf": "checks of\nMuJoCo models",
     "physics": "state spaces,\nsimulation",
