@@ -8,12 +8,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
 from planspace.cli.entry import main, parse
+from planspace.embed.config import PRESETS
 from tests.test_package import ORDER
 
 ROOT = Path(__file__).parents[1]
@@ -33,6 +34,7 @@ SMALLER = {
     "--seeds 15": "--seeds 2",
     "--steps 500000": "--steps 8000",
     "60_000": "2_000",
+    "20_000": "4_000",
     "range(3)": "range(1)",
 }
 """Budgets of the pages, and the smaller budgets that the tests use."""
@@ -89,9 +91,10 @@ def test_page_runs(
         pytest.importorskip(module, reason="needs an extra")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(PRESETS, "modern", replace(PRESETS["modern"], steps=20, batch=16))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     shutil.copytree(embedding_folder, "runs/cartpole-swingup-small/embedding")
-    names: dict = {}
+    names: dict = {"__name__": "__main__"}
     for block in blocks(Path(page)):
         if block.language == "file":
             save(block, monkeypatch)
