@@ -1,11 +1,15 @@
-"""Speed of the environments: ours beside bare physics, Gymnasium's and SB3's, and what a wrapper costs.
+"""Measure the speed of environments and wrappers.
 
     python benchmarks/env_throughput.py [--task cartpole-swingup] [--rounds 5] [--num-envs 64 600 4096]
 
-Environment steps a second, each round of which times everything in turn; medians, and the median (least to
-greatest) of each round's ratio to ours at the same number of environments. Bare physics is `mujoco.batch`
-stepping the same episodes, with nothing observed or rewarded. The wrappers stand on an embedding of the usual
-shape (2 x 64 units, z = 3, sin and cos of the angle), its weights drawn at random.
+The first table compares planspace's vector environment with bare physics and with the vector environments of
+Gymnasium and SB3, in environment steps per second. Bare physics is `mujoco.batch` that steps the same
+episodes without observations or rewards. The second table shows the time that the wrappers add to a step,
+with a random embedding of the default architecture (2 x 64 units, z of 3 dimensions, sin and cos of the
+angle).
+
+Every round times all rows one after another. The tables show medians, and the median, minimum and maximum of
+the ratio to, or difference from, the first row of the same round.
 """
 
 import argparse
@@ -33,11 +37,11 @@ from planspace.tasks.catalog import find_task
 from planspace.tasks.task import Task
 
 SECONDS = 1.0
-"""About how long each measurement takes."""
+"""Approximate duration of one measurement."""
 
 
 def bare(task: Task, num: int, states: np.ndarray, actions: np.ndarray) -> Callable[[], None]:
-    """Steps the physics alone, through the same episodes."""
+    """A function that steps only the physics, through the same episodes."""
     model, space = task.compile()
     batch = mujoco.batch.Batch(model, num, 0)
     qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
@@ -61,7 +65,7 @@ def stepping(env: gymnasium.vector.VectorEnv, actions: np.ndarray) -> Callable[[
 
 
 def rate(step: Callable[[], None], num: int) -> float:
-    """Environment steps a second, timed for about `SECONDS`."""
+    """Environment steps per second, measured for about `SECONDS`."""
     calls = max(1, int(SECONDS / timed(step, 10) * 10))
     return num * calls / timed(step, calls)
 
@@ -74,7 +78,7 @@ def timed(step: Callable[[], None], calls: int) -> float:
 
 
 def make_embedding(task: Task, folder: Path) -> Path:
-    """An embedding of the task's state, of the usual shape."""
+    """Save an embedding of the task's states with random weights and the default architecture."""
     rng, space = np.random.default_rng(0), task.compile()[1]
     inputs = Inputs.fit(
         rng.normal(size=(9, space.size)), space.names, space.units, space.circular_columns, "trig"
@@ -93,7 +97,7 @@ def make_embedding(task: Task, folder: Path) -> Path:
 
 
 def sb3_environments(task: Task, num: int) -> dict[str, object]:
-    """Ours and SB3's own, where it is installed."""
+    """The vector environments of planspace and of SB3; empty if SB3 is not installed."""
     if importlib.util.find_spec("stable_baselines3") is None:
         return {}
     from stable_baselines3.common.vec_env import SubprocVecEnv
@@ -102,13 +106,13 @@ def sb3_environments(task: Task, num: int) -> dict[str, object]:
 
     make = partial(gymnasium.make, task.env_id)
     return {
-        "ours for SB3": make_vec_env(task.env_id, num),
+        "planspace for SB3": make_vec_env(task.env_id, num),
         "SB3's SubprocVecEnv": SubprocVecEnv([make] * num),
     }
 
 
 def compare(kinds: dict[str, Callable[[], None]], num: int, rounds: int) -> None:
-    """Times everything in turn and prints it beside the first."""
+    """Time all rows in turn and print them with their ratio to the first."""
     first = next(iter(kinds))
     rows = [{name: rate(step, num) for name, step in kinds.items()} for _ in range(rounds)]
     for name in kinds:
@@ -119,13 +123,13 @@ def compare(kinds: dict[str, Callable[[], None]], num: int, rounds: int) -> None
 
 
 def throughput(task: Task, num: int, rounds: int) -> None:
-    """Many episodes: ours, the physics alone, and other people's."""
+    """Compare planspace with bare physics and other vector environments."""
     ours = TaskVectorEnv(task.name, num)
     ours.action_space.seed(0)
     actions = ours.action_space.sample()
-    kinds = {"ours": stepping(ours, actions), "bare physics": bare(task, num, ours.states, actions)}
+    kinds = {"planspace": stepping(ours, actions), "bare physics": bare(task, num, ours.states, actions)}
     others = []
-    if num <= 600:  # as many objects, and with few enough a process each
+    if num <= 600:  # others need an object, or even a process, per environment
         for mode in ("sync", "async") if num <= 64 else ("sync",):
             others.append(gymnasium.make_vec(task.env_id, num_envs=num, vectorization_mode=mode))
             kinds[f"Gymnasium's {mode}"] = stepping(others[-1], actions)
@@ -139,9 +143,9 @@ def throughput(task: Task, num: int, rounds: int) -> None:
 
 
 def wrapper_cost(task: Task, nums: list[int], rounds: int, embedding: Path) -> None:
-    """What z and shaping add to a step, of one episode and of many."""
+    """Measure the time that z and shaping add to a step, for one environment and for several."""
     goal = [0.0] * task.compile()[1].size
-    print(f"\n{'microseconds a step':<44}{'median':>12}{'more than bare':>24}")
+    print(f"\n{'microseconds per step':<44}{'median':>12}{'more than bare':>24}")
     for num in [1, *nums]:
         if num == 1:
             env = gymnasium.make(task.env_id, disable_env_checker=True, max_episode_steps=-1).unwrapped
@@ -160,8 +164,8 @@ def wrapper_cost(task: Task, nums: list[int], rounds: int, embedding: Path) -> N
         for name in kinds:
             values = np.array([row[name] for row in rows])
             more = values - np.array([row["bare"] for row in rows])
-            share = np.median(more) / np.median(values - more)
-            spread = f"{np.median(more):.1f} ({more.min():.1f} to {more.max():.1f}) {share:4.0%}"
+            fraction = np.median(more) / np.median(values - more)
+            spread = f"{np.median(more):.1f} ({more.min():.1f} to {more.max():.1f}) {fraction:4.0%}"
             print(f"{f'{num} environments, {name}':<44}{np.median(values):>12,.1f}{spread:>24}", flush=True)
 
 
@@ -175,7 +179,7 @@ def main() -> None:
     arguments = parser.parse_args()
     task = find_task(arguments.task)
     print(f"command: python benchmarks/env_throughput.py --task {task.name} --rounds {arguments.rounds}")
-    print(f"{'steps a second':<44}{'median':>12}{'over ours':>24}")
+    print(f"{'steps per second':<44}{'median':>12}{'ratio to planspace':>24}")
     for num in arguments.num_envs:
         throughput(task, num, arguments.rounds)
     with tempfile.TemporaryDirectory() as folder:

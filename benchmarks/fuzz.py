@@ -1,10 +1,11 @@
-"""Looks for files whose reading ends otherwise than well or with an error of ours (extra `fuzz`).
+"""Search for files that crash planspace instead of being read or rejected (extra `fuzz`).
 
     python benchmarks/fuzz.py [--seconds N] [--only problem,model,manifest,embedding,policies,json,csv]
 
-Atheris mutates problem files, models and plans byte by byte, guided by which lines of planspace they reach;
-the descriptions of datasets, embeddings and policies value by value, each sealed anew, as a stranger would.
-Prints how many were tried; a file that escapes is kept, and the exit code is 1.
+Atheris mutates problem files, models and plans byte by byte, guided by the lines of planspace that they
+reach. It mutates the descriptions of datasets, embeddings and policies value by value and gives each a valid
+checksum. The output is the number of files tried. A file that causes an error other than `PlanspaceError` is
+saved, and the exit code is 1.
 """
 
 import argparse
@@ -24,14 +25,21 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 GOLDEN = sorted((ROOT / "tests" / "golden").glob("*/expected.json"))[-1].parent
 TARGETS = ("problem", "model", "manifest", "embedding", "policies", "json", "csv")
-INSTRUMENTED = ("store", "demos.convert", "embed.embedding", "plan.problem_file", "rl.saved_policy")
+INSTRUMENTED = (
+    "storage.json_files",
+    "demos.convert",
+    "embed.embedding",
+    "tasks.problem_file",
+    "rl.saved_policy",
+)
+"""Modules that are imported with instrumentation; they import the others."""
 SEED_JSON = b'{"state_dims": ["x", "control", "time"], "path": [[0, 1, 0,], [1, 0, 0.5]]}'
 SEED_CSV = b"time,x,control\n0,1,2\n0.5,2,3\n"
 Probe = Callable[[bytes], None]
 
 
 def fuzz(target: str, seconds: int, kept: Path) -> None:
-    """Runs in a process of its own: libFuzzer never returns."""
+    """Fuzz one target. Run this in a separate process, because libFuzzer never returns."""
     import atheris
 
     with atheris.instrument_imports(include=["planspace"]):
@@ -56,7 +64,7 @@ def fuzz(target: str, seconds: int, kept: Path) -> None:
 
 
 def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
-    """What reads a file of these bytes, and files to begin with."""
+    """A function that reads a file with given bytes, and the files to start from."""
     from planspace.demos.load import load_demos
     from planspace.embed.embedding import load_embedding
     from planspace.mjcf.assets import ASSETS
@@ -99,13 +107,13 @@ def importer(folder: Path, ending: str) -> Probe:
         file, out = written(folder / f"plan_0.{ending}", data), folder / "out"
         shutil.rmtree(out, ignore_errors=True)
         import_demos([str(file)], out, None, ImportOptions())
-        load_demos(out)  # what was taken in can be read
+        load_demos(out)  # an imported dataset can be read
 
     return probe
 
 
 def sealed(file: Path, read: Callable[[], Any]) -> Probe:
-    """Changes some values of a description as the bytes say, and makes its checksum anew."""
+    """A function that changes values of a description as its bytes determine, with a valid checksum."""
     import atheris
 
     from planspace.storage.json_files import read_sealed, write_sealed
@@ -124,7 +132,7 @@ def sealed(file: Path, read: Callable[[], Any]) -> Probe:
 
 
 def change_one(text: Any, given: Any) -> None:
-    """Goes down at random and puts something else in a place, or takes it out."""
+    """Replace or delete one value at a random depth."""
     while True:
         keys = sorted(text) if isinstance(text, dict) else list(range(len(text)))
         if not keys:
@@ -164,9 +172,9 @@ def value(given: Any, depth: int = 0) -> Any:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=int, default=600, help="for all targets together")
+    parser.add_argument("--seconds", type=int, default=600, help="time for all targets together")
     parser.add_argument("--only", default=",".join(TARGETS))
-    parser.add_argument("--kept", type=Path, default=Path("runs/fuzz"), help="where files that escape go")
+    parser.add_argument("--kept", type=Path, default=Path("runs/fuzz"), help="folder for bad files")
     parser.add_argument("--one", default="", help=argparse.SUPPRESS)
     options = parser.parse_args()
     kept = options.kept.absolute()
@@ -174,20 +182,20 @@ def main() -> None:
         fuzz(options.one, options.seconds, kept)
     names = options.only.split(",")
     print("command: python benchmarks/fuzz.py", " ".join(sys.argv[1:]))
-    escaped = []
+    failed = []
     for name in names:
         words = ["--one", name, "--seconds", str(max(1, options.seconds // len(names))), "--kept", str(kept)]
         done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
         tried = re.findall(r"^(?:Done (\d+) runs|#(\d+)\b)", done.stderr, re.MULTILINE)
         number = next((a or b for a, b in reversed(tried)), "0")
         print(
-            f"{name}: {number} files tried, {'none escaped' if done.returncode == 0 else 'ONE ESCAPED'}",
+            f"{name}: {number} files tried, {'no error' if done.returncode == 0 else 'ERROR FOUND'}",
             flush=True,
         )
         if done.returncode != 0:
-            escaped.append(name)
+            failed.append(name)
             print(done.stderr[-3000:] + done.stdout[-1500:])
-    sys.exit(1 if escaped else 0)
+    sys.exit(1 if failed else 0)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How long `import planspace` takes beyond Gymnasium and MuJoCo, which its user has imported already.
+"""Measure how much `import planspace` adds to importing Gymnasium and MuJoCo.
 
     python benchmarks/import_time.py [--rounds 10]
 
-Whole processes, one after the other in turn; medians, and the median (least to greatest) of each round's
-difference to the first.
+Each round runs one process per row. The table shows the median time, and the median, minimum and maximum of
+the difference from the first row of the same round.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 BARE = "import gymnasium, mujoco"
-KINDS = {
+IMPORTS = {
     "gymnasium and mujoco": BARE,
     "and planspace": f"{BARE}, planspace",
     "and its wrappers": f"{BARE}, planspace, planspace.envs.wrappers",
@@ -35,12 +35,12 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=10)
     arguments = parser.parse_args()
     print(f"command: python benchmarks/import_time.py --rounds {arguments.rounds}")
-    print(f"{'seconds':<24}{'median':>8}{'beyond the first':>26}")
-    rows = [{name: timed(code) for name, code in KINDS.items()} for _ in range(arguments.rounds + 1)][1:]
-    for name in KINDS:
+    print(f"{'seconds':<24}{'median':>8}{'more than the first':>26}")
+    rows = [{name: timed(code) for name, code in IMPORTS.items()} for _ in range(arguments.rounds + 1)][1:]
+    for name in IMPORTS:
         values = np.array([row[name] for row in rows])
-        beyond = values - np.array([row["gymnasium and mujoco"] for row in rows])
-        spread = f"{np.median(beyond):.3f} ({beyond.min():.3f} to {beyond.max():.3f})"
+        added = values - np.array([row["gymnasium and mujoco"] for row in rows])
+        spread = f"{np.median(added):.3f} ({added.min():.3f} to {added.max():.3f})"
         print(f"{name:<24}{np.median(values):>8.3f}{spread:>26}")
 
 

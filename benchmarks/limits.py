@@ -1,9 +1,10 @@
-"""What large datasets cost: memory while one is imported, validated and cut into triplets; time to list one.
+"""Measure peak memory and time of commands on large datasets.
 
     python benchmarks/limits.py [--out DIR]
 
-Every stage runs in a process of its own, on ten times as many steps each time; its peak memory is what
-Linux says. `demos show` of 100,000 demonstrations is timed three times, from start to end.
+Datasets of 10,000 to 1,000,000 steps are imported, validated, described and sampled. Each stage runs in a
+separate process, whose peak memory is read from /proc. `demos show` is also timed three times on a dataset
+of 100,000 demonstrations.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import numpy as np
 STEPS = (10_000, 100_000, 1_000_000)
 LENGTH = 100
 MEASURE = "print('peak', next(x.split()[1] for x in open('/proc/self/status') if x.startswith('VmHWM')))"
-"""Not ru_maxrss, which a process inherits from the one that started it."""
+"""Prints the peak memory; ru_maxrss would include the memory of the parent process."""
 IMPORT = "from planspace.cli import main; assert not main(['demos', 'import', '{npz}', '--out', '{demos}'])"
 VALIDATE = "from planspace.cli import main; assert main(['demos', 'validate', '{demos}']) == 0"
 SHOW = "from planspace.cli import main; assert main(['demos', 'show', '{demos}']) == 0"
@@ -31,11 +32,17 @@ for _ in range(10):
     demos.states_at(random_triplets(demos, np.arange(len(demos)), 10_000, rng))
 """
 LISTED, LISTED_LENGTH = 100_000, 40
-"""Demonstrations to list, and steps of each: what a planned swing-up has."""
+"""Number of demonstrations for `demos show`, and their steps; a planned swing-up has about as many steps."""
 
 
 def make_archive(path: Path, steps: int, length: int = LENGTH) -> None:
-    """Recorded demonstrations of so many steps each."""
+    """Write an NPZ archive of random demonstrations.
+
+    Args:
+        path: the file.
+        steps: total number of steps.
+        length: steps per demonstration.
+    """
     rng = np.random.default_rng(0)
     num = steps // length
     rows = num * (length + 1)
@@ -49,7 +56,7 @@ def make_archive(path: Path, steps: int, length: int = LENGTH) -> None:
 
 
 def peak_mb(code: str) -> tuple[float, float]:
-    """Peak memory of a process that does this [MB], and how long it took [s]."""
+    """Run code in a new process and return its peak memory [MB] and wall time [s]."""
     began = time.monotonic()
     words = [sys.executable, "-c", f"{code}\n{MEASURE}"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

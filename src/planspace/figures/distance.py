@@ -62,9 +62,9 @@ def plot_distances(
     figure = matplotlib.figure.Figure(figsize=(10, 5), layout="constrained")
     left_axes, right_axes = figure.subplots(1, 2, sharex=True, sharey=True)
     norm = matplotlib.colors.Normalize(durations.min(), durations.max())
-    for axes, title, letter, paths in (
-        (left_axes, "plan space", "z", z),
-        (right_axes, "standardised state", "x", states),
+    for axes, title, paths in (
+        (left_axes, "plan space", z),
+        (right_axes, "standardised state", states),
     ):
         curves = _curves(paths, times)[:MAX_DRAWN]
         lines = LineCollection(curves, cmap=COLOURMAP, norm=norm, linewidths=0.8, alpha=0.7)
@@ -73,7 +73,7 @@ def plot_distances(
         axes.add_collection(lines)
         _draw_diagonal(axes, float(durations.max() / durations.mean()))
         axes.set_title(title, loc="left")
-        axes.set_ylabel(f"distance to the end / mean distance, $|{letter}_t - {letter}_T|$")
+        axes.set_ylabel("distance to the end / mean distance at the start")
         axes.set_xlabel(f"time left / mean duration ({durations.mean():.3g} s)")
         axes.spines[["top", "right"]].set_visible(False)
     left_axes.set(xlim=(0, None), ylim=(0, None))
