@@ -8,6 +8,7 @@ command line offers each field as an option, and the files of a run record it.
 import hashlib
 import importlib
 import inspect
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -113,6 +114,8 @@ def plain_settings(value: Any) -> Any:
         return {key: plain_settings(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain_settings(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)  # JSON has no infinity
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return _identity(value, always=True)

@@ -23,6 +23,7 @@ from planspace.plan.config import PlanConfig, find_planner
 from planspace.plan.pipeline import MAX_ATTEMPTS
 from planspace.plan.planner import Failure, check_problem
 from planspace.plan.planners import PLANNERS
+from planspace.plan.sst import SST
 from planspace.plan.workers import check_workers, plan_all
 from planspace.progress import progress, progress_shown
 from planspace.seams import name_of, plain_settings
@@ -152,14 +153,16 @@ def upgrade_settings(settings: DatasetSettings) -> DatasetSettings:
     Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`.
     """
     config, name = settings.get("config"), settings.get("planner")
-    if not isinstance(config, dict) or "sst" not in config or name not in PLANNERS:
+    if not isinstance(config, dict) or not isinstance(name, str) or name not in PLANNERS:
         return settings
     group = name.partition("-")[0]
+    if not isinstance(own := config.get(group), dict):
+        return settings
     current = {
-        "planner": plain_settings(PLANNERS[name]) | config[group],
-        "restarts": config["restarts"] if group == "sst" else 1,
-        "polish": config["polish"],
-        "regulator": config["regulator"],
+        "planner": plain_settings(PLANNERS[name]) | own,
+        "restarts": config.get("restarts") if group == SST.name else 1,
+        "polish": config.get("polish"),
+        "regulator": config.get("regulator"),
     }
     return settings | DatasetSettings(config=current)
 

@@ -13,7 +13,7 @@ from planspace.demos.episode import Episode
 from planspace.errors import PlanspaceError, UsageError
 from planspace.plan.config import PlanConfig
 from planspace.plan.pipeline import Pipeline
-from planspace.plan.planner import PAGE, Failure
+from planspace.plan.planner import PAGE, Failure, FunctionPlanner
 from planspace.seams import name_of
 from planspace.tasks.problem import Problem
 from planspace.workers import count_cores, exit_with_parent, worker_environment
@@ -74,8 +74,10 @@ def check_workers(problem: Problem, config: PlanConfig, workers: int | None) -> 
     if workers == 0:
         return
     _pack(problem, config)
-    main = sys.modules["__main__"]
-    if type(config.planner).__module__ == "__main__" and not hasattr(main, "__file__"):
+    planner = config.planner
+    code = planner.function if isinstance(planner, FunctionPlanner) else type(planner)
+    at_prompt = code.__module__ == "__main__" and not hasattr(sys.modules["__main__"], "__file__")
+    if at_prompt:
         raise UsageError(
             f"worker processes cannot import the planner {name_of(config.planner)}, which is defined at a "
             f"prompt or in a notebook. {ADVICE}"
