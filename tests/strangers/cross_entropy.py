@@ -25,7 +25,7 @@ class CrossEntropy:
 
     units: tuple[int, ...] = (8,)
     """Units of the hidden layers."""
-    elite: float = 0.2
+    elite: float = 0.3
     """Fraction of the policies of an iteration that is kept."""
     noise: float = 0.02
     """Standard deviation added to that of the kept policies."""
