@@ -52,7 +52,7 @@ POLICIES: dict[str, tuple[Change, str]] = {
 }
 POLICY_WEIGHTS: dict[str, tuple[Change, str]] = {
     "too large weights": (lambda a: a["1.weight"].fill(3e38), "an action of seed 0 is not finite"),
-    "infinite standard deviation": (lambda a: a["log_std"].fill(1e4), "is invalid .*no deviation"),
+    "infinite standard deviation": (lambda a: a["log_std"].fill(1e4), "is invalid .*no standard deviation"),
     "negative variance": (lambda a: a.update(statistics(-1.0)), "an action of seed 0 is not finite"),
 }
 

@@ -157,7 +157,7 @@ def test_policies(algo: str, preset: str, z: ZMode, embedding: Embedding, tmp_pa
     if (algo, preset) == ("trpo", "paper"):
         expected |= {".agents.critic.weights"}
     else:
-        network = ("network.weights", "network.biases", "mean", "deviation")
+        network = ("network.weights", "network.biases", "mean", "std")
         expected |= {f".agents.critic.{name}" for name in network}
     if algo == "ppo":
         expected |= {f".agents.optimiser.{m}.mean.weights" for m in ("mu", "nu")} | {

@@ -70,6 +70,7 @@ def test_an_interrupt_while_saving_leaves_each_row_once(
     assert [row["iteration"] for row in rows] == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_evaluations_do_not_change_training() -> None:
     config = replace(CONFIG, steps=5 * BATCH_STEPS)
     often = train_policies(TASK, replace(config, eval_every=2)).history
@@ -82,6 +83,7 @@ def test_evaluations_do_not_change_training() -> None:
     np.testing.assert_array_equal(often["eval_return"][-1], never["eval_return"][-1])
 
 
+@pytest.mark.slow
 def test_an_interrupted_evaluation_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(CONFIG, eval_every=2)
     whole = train_policies(TASK, config).history

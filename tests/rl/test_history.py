@@ -26,12 +26,12 @@ LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "nothing": (lambda a: a.update({k: v[:0].copy() for k, v in a.items()}), r"steps has shape \(0,\)"),
     "truths": (lambda a: a.update({"return": a["return"] > 0}), "return has .*bool"),
     "broken steps": (lambda a: a.update(steps=a["steps"] / 2), "steps has .*float64"),
-    "steps that turn back": (lambda a: a.update(steps=a["steps"][::-1].copy()), "steps do not rise"),
+    "steps that turn back": (lambda a: a.update(steps=a["steps"][::-1].copy()), "steps do not increase"),
     "no number": (lambda a: a["return"].fill(np.nan), "return is not finite"),
-    "too large a number": (lambda a: a["return"].fill(1e308), "return is not finite, or beyond"),
+    "too large a number": (lambda a: a["return"].fill(1e308), "return is not finite, or too large"),
     "too large for a frozen seed, too": (
         lambda a: (a["return"].fill(1e308), a["frozen"].fill(1)),
-        "return is not finite, or beyond",
+        "return is not finite, or too large",
     ),
     "frozen or not": (lambda a: a["frozen"].fill(np.nan), "frozen is neither 0 nor 1"),
 }

@@ -1,6 +1,6 @@
-"""Probe environments: tasks so small that what an algorithm must learn is known.
+"""Probe environments: tasks so small that the right value and action are known.
 
-They stand on the cart-pole's physics, whose states only serve as observations.
+They use the physics of the cart-pole, whose states only serve as observations.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -20,20 +20,22 @@ from planspace.rl.training import num_episodes
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task, never
 
-ARMS: list[tuple[str, str]] = [
+ARMS = [
     ("trpo", "paper"),
-    ("trpo", "modern"),
-    ("ppo", "paper"),
+    pytest.param("trpo", "modern", marks=pytest.mark.slow),
+    pytest.param("ppo", "paper", marks=pytest.mark.slow),
     ("ppo", "modern"),
 ]
+LONG_ARMS = [pytest.param("trpo", "paper", marks=pytest.mark.slow), *ARMS[1:]]
+"""For tests with many iterations of TRPO."""
 GAMMA = 0.99
 
 
 ENOUGH = {"trpo": 60, "ppo": 15}
-"""Iterations; PPO takes larger steps, and where the deviation of its actions has all but gone, one of them
-can be too large for it."""
+"""Iterations. PPO takes larger steps; once the standard deviation of its actions is almost 0, a step can be
+too large."""
 STEPS = 1000
-"""An iteration's, for each seed."""
+"""Steps of an iteration and seed."""
 
 
 def probe(reward, horizon: int = 1) -> Task:
@@ -83,8 +85,8 @@ def test_the_value_of_one_step_is_its_reward(algo: str, preset: str) -> None:
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_what_comes_a_step_later_is_discounted(algo: str, preset: str) -> None:
-    # the cart rolls at 5 m/s whatever is done, past 0.1 m in the first step and 0.3 m in the second
+def test_a_later_reward_is_discounted(algo: str, preset: str) -> None:
+    # the cart rolls at 5 m/s with any action, past 0.1 m in the first step and 0.3 m in the second
     task = replace(
         probe(lambda before, after, control: (before[:, 0] > 0.1).astype(float), horizon=2),
         start_low=(0.0, 0.0, 5.0, 0.0),
@@ -97,15 +99,15 @@ def test_what_comes_a_step_later_is_discounted(algo: str, preset: str) -> None:
     np.testing.assert_allclose(trained.value(second, 1), 1.0, atol=0.03)
 
 
-@pytest.mark.parametrize(("algo", "preset"), ARMS)
+@pytest.mark.parametrize(("algo", "preset"), LONG_ARMS)
 def test_the_better_action_is_found(algo: str, preset: str) -> None:
     task = probe(lambda before, after, control: -((control[:, 0] - 1.0) ** 2))
     trained = Trained(task, algo, preset, ENOUGH[algo])
     np.testing.assert_allclose(trained.action(np.zeros(4)), 1.0, atol=0.2)
 
 
-@pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_the_better_action_depends_on_what_is_seen(algo: str, preset: str) -> None:
+@pytest.mark.parametrize(("algo", "preset"), LONG_ARMS)
+def test_the_better_action_depends_on_the_observation(algo: str, preset: str) -> None:
     task = probe(lambda before, after, control: -((control[:, 0] - np.sign(before[:, 0])) ** 2))
     trained = Trained(task, algo, preset, ENOUGH[algo])
     assert (trained.action(np.array([0.7, 0.0, 0.0, 0.0])) > 0.6).all()
@@ -113,14 +115,14 @@ def test_the_better_action_depends_on_what_is_seen(algo: str, preset: str) -> No
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_beyond_the_time_limit_lies_what_the_preset_says(algo: str, preset: str) -> None:
-    """A reward of 1 for ever, seen ten steps at a time: worth 1 / (1 - gamma) = 100 if one knows it."""
+def test_the_preset_decides_whether_rewards_beyond_the_time_limit_count(algo: str, preset: str) -> None:
+    """The reward is 1 in every step, so that without a time limit the value is 1 / (1 - gamma) = 100."""
     task = replace(probe(lambda before, after, control: np.ones(len(before)), horizon=10), terminated=never)
     value = Trained(task, algo, preset, 12).value(np.zeros(4), 0)
     ten_steps = (1 - GAMMA**10) / (1 - GAMMA)  # 9.56
     if preset == "modern":
-        assert (value > 4 * ten_steps).all()  # each iteration looks ten steps further
+        assert (value > 4 * ten_steps).all()  # each iteration counts ten more steps
     elif algo == "trpo":
         np.testing.assert_allclose(value, ten_steps, atol=0.1)
-    else:  # its critic does not see the step, of which 1 to 10 are left
+    else:  # its critic does not observe the step; 1 to 10 steps are left
         assert ((value > 4) & (value < ten_steps + 0.5)).all()

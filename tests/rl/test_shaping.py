@@ -101,6 +101,7 @@ def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
     assert not np.allclose(*second, rtol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])
 def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embedding) -> None:
     config = replace(CONFIG, algorithm=ALGORITHMS[algo])
@@ -125,7 +126,7 @@ def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> N
     with pytest.raises(UsageError, match="shaping by 'z' needs an embedding"):
         train_policies(TASK, CONFIG, out=tmp_path / "a")
     with pytest.raises(
-        UsageError, match="shaping needs one goal; reacher-raw has another target in every episode"
+        UsageError, match="shaping needs one goal, but reacher-raw has another target in every episode"
     ):
         train_policies("reacher-raw", replace(CONFIG, obs="raw", shaping="raw"), out=tmp_path / "b")
     with pytest.raises(UsageError, match="or --shaping z"):

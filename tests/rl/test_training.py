@@ -22,6 +22,7 @@ TASK = "cartpole-swingup"
 CONFIG = TrainConfig(num_seeds=2, steps=3 * BATCH_STEPS)
 
 
+@pytest.mark.slow
 def test_trpo_learns_to_balance() -> None:
     trained = train_policies("cartpole", TrainConfig(num_seeds=2, steps=25 * BATCH_STEPS))
     history = trained.history
@@ -94,14 +95,14 @@ def test_settings_out_of_range_are_refused(change: dict, message: str) -> None:
     assert message in done.stdout
 
 
-ARMS: list[dict[str, Any]] = [
-    {"algorithm": ("trpo", "paper")},
+QUICK_ARMS: list[dict[str, Any]] = [{"algorithm": ("trpo", "paper")}, {"obs": "trig", "z": "augment"}]
+SLOW_ARMS: list[dict[str, Any]] = [
     {"algorithm": ("trpo", "modern")},
     {"algorithm": ("ppo", "paper")},
     {"algorithm": ("ppo", "modern")},
-    {"obs": "trig", "z": "augment"},
     {"z": "replace", "z_to": "critic"},
 ]
+ARMS = [*QUICK_ARMS, *(pytest.param(arm, marks=pytest.mark.slow) for arm in SLOW_ARMS)]
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=str)
@@ -116,6 +117,7 @@ def test_a_seed_learns_the_same_alone_and_beside_others(arm: dict, embedding: Em
     assert (together["return"][:, 2] != together["return"][:, 3]).all()
 
 
+@pytest.mark.slow
 def test_a_diverging_seed_is_frozen_and_the_others_continue(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,7 +134,7 @@ def test_a_diverging_seed_is_frozen_and_the_others_continue(
 
     monkeypatch.setattr(arm_module, "collect", poisoned)
     assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3
-    assert "seed 1 diverged in iteration 3: numbers that are not finite" in capsys.readouterr().err
+    assert "seed 1 diverged and was frozen with the policy that it had" in capsys.readouterr().err
     sound, frozen = load_history(tmp_path / "sound"), load_history(tmp_path / "poisoned")
     np.testing.assert_array_equal(frozen["frozen"][:, 1], [0, 0, 1, 1])
     assert not frozen["frozen"][:, [0, 2]].any()
@@ -143,6 +145,7 @@ def test_a_diverging_seed_is_frozen_and_the_others_continue(
     assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # the finished run says so again
 
 
+@pytest.mark.slow
 def test_seeds_take_embeddings_in_turn(embedding: Embedding, tmp_path: Path) -> None:
     other = replace(embedding, encoder=(embedding.encoder[0], [-b for b in embedding.encoder[1]]))
     assert other.hash != embedding.hash

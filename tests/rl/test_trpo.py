@@ -35,6 +35,7 @@ def mean_kl(old: GaussianPolicy, new: GaussianPolicy, obs: jax.Array) -> float:
     return float(jnp.mean(jax.vmap(lambda o: kl(old(o), new(o)))(obs)))
 
 
+@pytest.mark.slow
 def test_fisher_product_is_the_hessian_of_the_kl(policy: GaussianPolicy) -> None:
     obs = jr.normal(jr.key(1), (20, 3))
     theta, rebuild = ravel_pytree(policy)

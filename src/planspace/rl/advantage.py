@@ -1,4 +1,4 @@
-"""Generalised advantage estimation (Schulman et al. 2016), with the two ways to end kept apart."""
+"""Generalised advantage estimation (Schulman et al. 2016), which tells terminated from truncated."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,15 +14,15 @@ def gae(
     discount: float,
     gae_lambda: float,
 ) -> Float[np.ndarray, "time *env"]:
-    """The advantages of the actions taken.
+    """Advantages of the actions taken.
 
     Args:
-        reward: of each step.
-        value: of the state before each step.
-        next_value: of the state after it; ignored where the episode terminated.
-        terminated: the episode ended there for good: nothing is earned afterwards.
-        truncated: the record was cut there: `next_value` stands for what would have been earned.
-        discount: gamma.
+        reward: reward of each step.
+        value: value of the state before each step.
+        next_value: value of the state after each step; ignored where the episode terminated.
+        terminated: whether the episode ended there; no reward follows.
+        truncated: whether the record ends there; `next_value` stands for the rewards that would follow.
+        discount: discount factor gamma.
         gae_lambda: lambda.
     """
     delta = reward + discount * np.where(terminated, 0.0, next_value) - value
@@ -38,7 +38,7 @@ def discounted_returns(
     *,
     discount: float,
 ) -> Float[np.ndarray, "time *env"]:
-    """The discounted sum of rewards from each step on, with `next_value` where the record was cut."""
+    """Discounted sum of rewards from each step on, with `next_value` where the record is truncated."""
     cut = truncated & ~terminated
     return _accumulate(
         reward + discount * np.where(cut, next_value, 0.0), discount * ~(terminated | truncated)

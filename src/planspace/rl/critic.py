@@ -1,7 +1,7 @@
-"""Critics: what is still to be earned from an observation on.
+"""Critics, which predict the discounted return from an observation.
 
-`LinearCritic` is the baseline of the 2020 TRPO runs, `MLPCritic` stands for that of their PPO runs. Both are
-fitted anew, after the policy's update, to the discounted returns of the iteration.
+`LinearCritic` is the baseline of the 2020 TRPO runs; `MLPCritic` replaces that of their PPO runs. Both are
+fitted to the discounted returns of each iteration, after the update of the policy.
 """
 
 import equinox as eqx
@@ -19,13 +19,14 @@ from planspace.rl.stack import stacked
 RIDGE = 1e-5
 OBS_BOUND = 10.0
 MLP_EPOCHS, MLP_MINIBATCH, MLP_RATE = 10, 500, 1e-3
-"""The 2020 runs fitted theirs by L-BFGS under a KL penalty; ours takes as many passes as PPO does."""
+"""As many epochs as PPO has. The 2020 runs fitted their network by L-BFGS under a KL penalty."""
 
 
 class LinearCritic(eqx.Module):
-    """Ridge regression of returns on simple features, zero at first.
+    """Ridge regression of returns on simple features, with zero weights at first.
 
-    In NumPy and float64: with sin and cos among the observations the normal equations have condition 6e10.
+    It uses float64, because the normal equations have a condition number of 6e10 when observations contain
+    sin and cos.
     """
 
     weights: Float[np.ndarray, " feature"]
@@ -33,7 +34,7 @@ class LinearCritic(eqx.Module):
     def values(
         self, obs: Float[np.ndarray, "*batch obs"], step: Int[np.ndarray, "*batch"]
     ) -> Float[np.ndarray, "*batch"]:
-        """The values of observations at steps within their episodes."""
+        """Values of observations at these steps of their episodes."""
         return features(obs, step) @ self.weights
 
     def fitted(
@@ -44,26 +45,26 @@ class LinearCritic(eqx.Module):
         *,
         key: Key[Array, ""],
     ) -> "LinearCritic":
-        """Fitted to these returns."""
+        """The critic fitted to these returns."""
         return LinearCritic(ridge_regression(features(obs, step), returns))
 
 
 class MLPCritic(eqx.Module):
-    """A network of tanh layers over standardised observations, its output standardised as well."""
+    """A network of tanh layers, with standardised observations and a standardised output."""
 
     network: MLP
     obs_mean: Float[np.ndarray, " obs"]
-    obs_deviation: Float[np.ndarray, " obs"]
+    obs_std: Float[np.ndarray, " obs"]
     mean: Float[np.ndarray, ""]
-    deviation: Float[np.ndarray, ""]
+    std: Float[np.ndarray, ""]
 
     def values(
         self, obs: Float[np.ndarray, "*batch obs"], step: Int[np.ndarray, "*batch"]
     ) -> Float[np.ndarray, "*batch"]:
-        """The values of observations; the step does not matter."""
+        """Values of observations; the step is not used."""
         rows = self._inputs(obs).reshape(1, -1, obs.shape[-1])
         output = stacked([self.network])(rows).reshape(obs.shape[:-1]).astype(np.float64)
-        return output * self.deviation + self.mean
+        return output * self.std + self.mean
 
     def fitted(
         self,
@@ -73,24 +74,31 @@ class MLPCritic(eqx.Module):
         *,
         key: Key[Array, ""],
     ) -> "MLPCritic":
-        """Fitted to these returns by Adam, from where it stands."""
-        mean, deviation = np.asarray(returns.mean()), np.asarray(np.maximum(returns.std(), 1e-6))
+        """The critic fitted to these returns by Adam, starting from the present weights."""
+        mean, std = np.asarray(returns.mean()), np.asarray(np.maximum(returns.std(), 1e-6))
         obs_mean = obs.mean(axis=0, dtype=float)
-        obs_deviation = np.maximum(obs.std(axis=0, dtype=float), 1e-6)
-        scaled = MLPCritic(self.network, obs_mean, obs_deviation, mean, deviation)
-        targets = ((returns - mean) / deviation).astype(np.float32)
+        obs_std = np.maximum(obs.std(axis=0, dtype=float), 1e-6)
+        scaled = MLPCritic(self.network, obs_mean, obs_std, mean, std)
+        targets = ((returns - mean) / std).astype(np.float32)
         network = _fit(self.network, scaled._inputs(obs), targets, key)
         return eqx.tree_at(lambda c: c.network, scaled, network)
 
     def _inputs(self, obs: np.ndarray) -> np.ndarray:
-        return ((obs - self.obs_mean) / self.obs_deviation).astype(np.float32)
+        return ((obs - self.obs_mean) / self.obs_std).astype(np.float32)
 
 
 Critic = LinearCritic | MLPCritic
 
 
 def make_critic(name: CriticName, num_obs: int, hidden: tuple[int, ...], *, key: Key[Array, ""]) -> Critic:
-    """A critic that has seen nothing yet; only that of a network has hidden layers."""
+    """A critic before training.
+
+    Args:
+        name: `linear` or `mlp`.
+        num_obs: numbers in an observation.
+        hidden: units of the hidden layers of an `mlp` critic.
+        key: random key of the first weights.
+    """
     if name == "linear":
         num_features = features(np.zeros((1, num_obs)), np.zeros(1, int)).shape[1]
         return LinearCritic(np.zeros(num_features))
@@ -121,7 +129,7 @@ def _fit(
     targets: Float[Array, " sample"],
     key: Key[Array, ""],
 ) -> MLP:
-    """Least squares by Adam; samples beyond an epoch's last whole minibatch wait for the next epoch."""
+    """Least squares by Adam; an epoch leaves out the samples that do not fill a minibatch."""
     adam = optax.adam(MLP_RATE)
     size = min(MLP_MINIBATCH, len(targets))
     num = len(targets) // size

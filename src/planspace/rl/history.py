@@ -1,4 +1,4 @@
-"""A run's history: what is recorded of each iteration and seed. Needs neither JAX nor MuJoCo."""
+"""The history of a training run: numbers of each iteration and seed. Needs neither JAX nor MuJoCo."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -17,18 +17,18 @@ and whether the seed is frozen; see `episode_returns`. An algorithm adds its own
 EVALUATION = "eval_return"
 """Mean return of deterministic episodes at each of `TrainConfig.evaluations`."""
 LARGEST = 1e100
-"""No return is larger; beyond it, it would overflow where its square is taken, or where it is drawn."""
+"""Larger returns are rejected, because their squares overflow."""
 
 
 def load_history(run: Path, shape: tuple[int, int] | None = None) -> Arrays:
-    """The history of a finished run, as `train` returns it.
+    """Load the history of a finished run.
 
     Args:
-        run: its folder.
-        shape: how many iterations and seeds it must have, where that is known.
+        run: the run's folder.
+        shape: the number of iterations and seeds that it must have, if they are known.
 
     Raises:
-        PlanspaceError: there is none, or it is damaged.
+        PlanspaceError: the run is not finished, or the history is damaged.
     """
     if not (run / HISTORY).exists():
         raise PlanspaceError(f"{run} holds no finished training: it has no {HISTORY}.")
@@ -39,14 +39,14 @@ def load_history(run: Path, shape: tuple[int, int] | None = None) -> Arrays:
 
 
 def frozen_seeds(history: Arrays, seeds: Sequence[int]) -> str:
-    """Names the seeds that diverged and the iteration at which each did; empty if none."""
+    """Say which seeds diverged and in which iteration; empty if none did."""
     rows = history["frozen"]
     found = [(seeds[i], int(rows[:, i].argmax()) + 1) for i in np.flatnonzero(rows[-1]).tolist()]
     return ", ".join(f"seed {seed} diverged in iteration {iteration}" for seed, iteration in found)
 
 
 def with_row(history: Arrays, row: Arrays, number: int) -> Arrays:
-    """A copy with one row filled in."""
+    """Copy with one row filled in."""
     updated = dict(history)
     for key, numbers in row.items():
         updated[key] = np.array(history[key])
@@ -55,17 +55,17 @@ def with_row(history: Arrays, row: Arrays, number: int) -> Arrays:
 
 
 def without_nan(row: dict[str, list[float]]) -> dict[str, list[float | None]]:
-    """As JSON can hold it."""
+    """The numbers as JSON can hold them: None for a number that is not finite."""
     return {key: [x if np.isfinite(x) else None for x in numbers] for key, numbers in row.items()}
 
 
 def scalars(row: dict[str, list[float]], seeds: Iterable[int]) -> dict[str, float]:
-    """A row of the history by names that group in a viewer."""
+    """A row of the history, by names that viewers group."""
     return {f"{key}/seed {seed}": numbers[i] for key, numbers in row.items() for i, seed in enumerate(seeds)}
 
 
 def _check(history: Arrays, shape: tuple[int, ...]) -> None:
-    """Sees that it is what `train` writes, of so many iterations and seeds."""
+    """Check that the arrays have this number of iterations and seeds, and values that training can write."""
     iterations, seeds = shape
     evaluations = len(history["eval_steps"])
     wanted = {"steps": (iterations,), "eval_steps": (evaluations,), EVALUATION: (evaluations, seeds)}
@@ -77,8 +77,8 @@ def _check(history: Arrays, shape: tuple[int, ...]) -> None:
     returns, frozen = np.abs(history["return"]), history["frozen"]
     if not np.isin(frozen, (0, 1)).all():
         raise ValueError("frozen is neither 0 nor 1")
-    lost = ~np.isfinite(returns) & (frozen == 1)  # what froze a seed may be a return
+    lost = ~np.isfinite(returns) & (frozen == 1)  # a return may be the number that froze the seed
     if not ((returns < LARGEST) | lost).all():
-        raise ValueError("a return is not finite, or beyond all measure")
+        raise ValueError("a return is not finite, or too large")
     if not (np.diff(history["steps"]) > 0).all():
-        raise ValueError("its steps do not rise")
+        raise ValueError("its steps do not increase")

@@ -1,4 +1,4 @@
-"""The small tanh network that policies and critics are made of."""
+"""The tanh network of policies and critics."""
 
 import equinox as eqx
 import jax
@@ -10,10 +10,10 @@ from planspace.rl.stack import VARIANCE_FLOOR
 
 
 class MLP(eqx.Module):
-    """Tanh layers and a linear one; Glorot-uniform weights, zero biases.
+    """Tanh layers and a linear output; Glorot-uniform weights, zero biases.
 
-    With `layer_norm`, what a hidden layer is about to squash is brought to mean 0 and deviation 1 over its
-    units, without gain or bias (Ba et al. 2016).
+    With `layer_norm`, the inputs of each tanh are brought to mean 0 and standard deviation 1 over the units
+    of the layer, without gain or bias (Ba et al. 2016).
     """
 
     weights: list[Float[Array, "out in"]]
@@ -21,7 +21,7 @@ class MLP(eqx.Module):
     layer_norm: bool = eqx.field(static=True)
 
     def __init__(self, sizes: tuple[int, ...], *, layer_norm: bool = False, key: Key[Array, ""]):
-        """Draws fresh weights for layers of these sizes, inputs first."""
+        """Draw weights for layers of these sizes, starting with the inputs."""
         keys = jr.split(key, len(sizes) - 1)
         init = jax.nn.initializers.glorot_uniform(in_axis=1, out_axis=0)
         self.weights = [init(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)]

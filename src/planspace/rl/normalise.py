@@ -1,4 +1,4 @@
-"""Observations standardised by what each seed has seen so far."""
+"""Standardises observations by the mean and standard deviation that each seed has seen so far."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,12 +9,13 @@ from jaxtyping import Float
 BOUND = 10.0
 """Standardised observations are clipped to this."""
 LEAST_VARIANCE = 1e-8
+"""Added to the variance, so that it is never divided by 0."""
 
 
 class ObsStatistics(NamedTuple):
-    """How many, mean and sum of squared deviations of each number of an observation.
+    """Count, mean and sum of squared differences from the mean, for each number of an observation.
 
-    Of one seed, or of many with an axis of seeds in front.
+    They belong to one seed or, with a leading axis, to several.
     """
 
     num: Float[np.ndarray, "*seed"]
@@ -23,16 +24,16 @@ class ObsStatistics(NamedTuple):
 
     @classmethod
     def empty(cls, num_obs: int) -> "ObsStatistics":
-        """Of nothing yet, which changes no observation."""
+        """Statistics of no observation; they leave observations unchanged."""
         return cls(np.zeros(()), np.zeros(num_obs), np.zeros(num_obs))
 
     @classmethod
     def stacked(cls, parts: "Sequence[ObsStatistics]") -> "ObsStatistics":
-        """Those of several seeds, with an axis of seeds."""
+        """Statistics of several seeds, with a leading axis."""
         return cls(*map(np.stack, zip(*parts, strict=True)))
 
     def with_more(self, obs: Float[np.ndarray, "*seed sample obs"]) -> "ObsStatistics":
-        """Of these observations as well.
+        """Statistics that include these observations.
 
         Source: Chan, Golub and LeVeque 1979, the parallel form of the sums.
         """
@@ -41,17 +42,17 @@ class ObsStatistics(NamedTuple):
         squares = np.sum((obs - mean[..., None, :]) ** 2, axis=-2)
         total = np.asarray(self.num + more)
         shift = mean - self.mean
-        share = (more / total)[..., None]
+        fraction = (more / total)[..., None]
         return ObsStatistics(
             total,
-            self.mean + shift * share,
-            self.squares + squares + shift**2 * self.num[..., None] * share,
+            self.mean + shift * fraction,
+            self.squares + squares + shift**2 * self.num[..., None] * fraction,
         )
 
     def __call__(self, obs: Float[np.ndarray, "*seed sample obs"]) -> Float[np.ndarray, "*seed sample obs"]:
-        """The observations, standardised."""
+        """Standardise observations."""
         if not self.num.any():
             return obs
-        deviation = np.sqrt(self.squares / self.num[..., None] + LEAST_VARIANCE)
-        shifted = (obs - self.mean[..., None, :]) / deviation[..., None, :]
+        std = np.sqrt(self.squares / self.num[..., None] + LEAST_VARIANCE)
+        shifted = (obs - self.mean[..., None, :]) / std[..., None, :]
         return np.clip(shifted, -BOUND, BOUND).astype(obs.dtype)

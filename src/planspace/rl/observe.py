@@ -1,4 +1,4 @@
-"""What an agent sees: the task's observation, sin and cos if asked for, and z; and which part sees which."""
+"""Observations: the task's own with or without z, and the columns that policy and critic read."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,23 +15,24 @@ from planspace.tasks.task import Task
 
 @dataclass(frozen=True)
 class Observer:
-    """States and targets to observations, and the columns of them that policy and critic read."""
+    """Turns states and targets into observations, and tells which columns policy and critic read."""
 
     task: Task
     obs: ObservationType
     z: ZMode
     z_to: ZTarget
     embeddings: tuple[Embedding, ...] = ()
-    """What makes z: one for all seeds, or one for each."""
+    """The embeddings that make z: one for all seeds, or one for each."""
     num_seeds: int = 1
-    """Whose environments follow one another, as many for each seed; what a seed sees does not depend on the
-    others, bit for bit."""
+    """Number of seeds, whose environments follow one another, the same number for each seed. The observations
+    of a seed do not depend on the others, bit for bit."""
 
     def __post_init__(self) -> None:
-        """Checks that the parts fit.
+        """Check that task and embeddings fit.
 
         Raises:
-            UsageError: an arm with z has no embedding, one for other states, or several of different sizes.
+            UsageError: z is observed but there is no embedding, an embedding reads other states, or
+                embeddings differ in the size of z.
         """
         if self.z == "none":
             return
@@ -39,13 +40,13 @@ class Observer:
             raise UsageError(f"z is {self.z!r}, which needs an embedding: give --embedding DIR.")
         if len({embedding.z_dim for embedding in self.embeddings}) > 1:
             sizes = ", ".join(str(embedding.z_dim) for embedding in self.embeddings)
-            raise UsageError(f"embeddings of one arm must be of one size, got z of {sizes} numbers.")
+            raise UsageError(f"embeddings of one run must have the same number of z, got {sizes}.")
         _ = self._embedded_columns
 
     def __call__(
         self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
     ) -> Float[np.ndarray, "env obs"]:
-        """The observations, float32."""
+        """Observations, as float32."""
         parts = []
         if self.z != "replace" or self.z_to != "both":
             parts.append(self.task.observe_as(self.obs, states, targets))
@@ -55,34 +56,34 @@ class Observer:
 
     @property
     def policy_columns(self) -> slice:
-        """The columns the policy reads."""
+        """The columns that the policy reads."""
         return self._columns("policy")
 
     @property
     def critic_columns(self) -> slice:
-        """The columns the critic reads."""
+        """The columns that the critic reads."""
         return self._columns("critic")
 
     def _encoded(self, states: Float[np.ndarray, "seed env state"]) -> Float[np.ndarray, "row z"]:
         groups = [states] if len(self.embeddings) == 1 else list(states[:, None])
-        ways = zip(self.embeddings, self._embedded_columns, groups, strict=True)
-        z = np.concatenate([e.encode(group[..., columns]) for e, columns, group in ways])
+        parts = zip(self.embeddings, self._embedded_columns, groups, strict=True)
+        z = np.concatenate([e.encode(group[..., columns]) for e, columns, group in parts])
         return z.reshape(-1, z.shape[-1])
 
     @cached_property
     def num_obs(self) -> int:
-        """Numbers of an observation, z among them."""
+        """Numbers in an observation, including z."""
         own = 0 if self.z == "replace" and self.z_to == "both" else self._num_own
         return own + (self.embeddings[0].z_dim if self.z != "none" else 0)
 
     @property
     def num_policy_obs(self) -> int:
-        """How many the policy reads."""
+        """Numbers that the policy reads."""
         return len(range(self.num_obs)[self.policy_columns])
 
     @property
     def num_critic_obs(self) -> int:
-        """How many the critic reads."""
+        """Numbers that the critic reads."""
         return len(range(self.num_obs)[self.critic_columns])
 
     @property
@@ -91,7 +92,7 @@ class Observer:
 
     @cached_property
     def _embedded_columns(self) -> list[list[int]]:
-        """Where in the task's state each embedding's states are."""
+        """The columns of the task's state that each embedding reads."""
         _, space = self.task.compile()
         try:
             return [list(embedding.columns_of(space.names)) for embedding in self.embeddings]

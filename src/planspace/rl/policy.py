@@ -1,4 +1,4 @@
-"""Gaussian policies: a small tanh network for the mean, a deviation that does not depend on the state."""
+"""Gaussian policies: a tanh network for the mean, and one standard deviation for all states."""
 
 import math
 
@@ -14,11 +14,11 @@ from planspace.rl.normalise import ObsStatistics
 from planspace.rl.policy_network import PolicyNetwork
 
 UNIT_ENTROPY = 0.5 * math.log(2 * math.pi * math.e)
-"""Of N(0, 1) [nat]; the logarithm of a deviation is added to it."""
+"""Entropy of N(0, 1) [nat]; that of N(mu, sigma^2) is larger by log sigma."""
 
 
 class GaussianPolicy(eqx.Module):
-    """pi(a|o) = N(mean(o), exp(log_std)^2); log_std 0 at first."""
+    """pi(a|o) = N(mean(o), exp(log_std)^2); log_std is 0 at first."""
 
     mean: MLP
     log_std: Float[Array, " action"]
@@ -32,12 +32,12 @@ class GaussianPolicy(eqx.Module):
         layer_norm: bool = False,
         key: Key[Array, ""],
     ):
-        """Draws fresh weights."""
+        """Draw the weights."""
         self.mean = MLP((num_obs, *hidden, num_actions), layer_norm=layer_norm, key=key)
         self.log_std = jnp.zeros(num_actions)
 
     def __call__(self, obs: Float[Array, " obs"]) -> DiagonalGaussian:
-        """The distribution of actions for one observation."""
+        """Distribution of actions for one observation."""
         return DiagonalGaussian(self.mean(obs), jnp.exp(self.log_std))
 
     def log_prob(
@@ -62,18 +62,18 @@ class GaussianPolicy(eqx.Module):
 
 
 class UpdateInfo(eqx.Module):
-    """What an update did to a policy."""
+    """Result of an update of a policy."""
 
     kl: Float[Array, ""]
     """Mean KL from the old policy to the new [nat]."""
     loss: Float[Array, ""]
-    """Minus the surrogate the algorithm maximises, after the update."""
+    """Negative surrogate objective after the update."""
     improvement: Float[Array, ""]
-    """Gain of the surrogate."""
+    """Increase of the surrogate objective."""
     entropy: Float[Array, ""]
     """Entropy of the new policy [nat]."""
     rounds: Int[Array, ""]
-    """Steps that TRPO's line search tried; epochs of PPO."""
+    """Steps that the line search of TRPO tried, or epochs of PPO."""
     skipped: Bool[Array, ""]
-    """Whether the parameters stayed as they were: no step was accepted, the curvature was not positive, or
-    a number was not finite."""
+    """Whether the policy is unchanged, because no step was accepted, the curvature was not positive, or a
+    number was not finite."""

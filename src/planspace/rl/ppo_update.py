@@ -1,7 +1,7 @@
-"""Proximal policy optimisation with a clipped ratio (Schulman et al. 2017), one update of one policy.
+"""One update of PPO: proximal policy optimisation with a clipped ratio (Schulman et al. 2017).
 
-A sample is what a minibatch is made of: a step, or a whole trajectory of steps, which are then an axis of
-their own after the first. The loss is a mean over steps either way.
+A minibatch consists of samples. A sample is a step, or a whole trajectory with an axis of time after the axis
+of samples. The loss is a mean over steps in both cases.
 """
 
 import functools
@@ -22,17 +22,17 @@ from planspace.rl.policy import GaussianPolicy, UpdateInfo
 
 
 class Batch(eqx.Module):
-    """The samples of one iteration."""
+    """Samples of one iteration."""
 
     obs: Float[Array, "sample *time obs"]
     actions: Float[Array, "sample *time action"]
     advantages: Float[Array, "sample *time"]
     log_prob: Float[Array, "sample *time"]
-    """Of the actions, under the policy that took them."""
+    """Log-density of the actions under the policy that took them [nat]."""
 
 
 def optimiser(config: PPO) -> optax.GradientTransformation:
-    """Adam, behind a bound on the gradient's norm if there is one."""
+    """Adam, with clipped gradients if `clip_norm` is set."""
     adam = optax.adam(config.learning_rate)
     return (
         adam if config.clip_norm is None else optax.chain(optax.clip_by_global_norm(config.clip_norm), adam)
@@ -61,7 +61,7 @@ def update(
 ) -> tuple[GaussianPolicy, optax.OptState, UpdateInfo]:
     """Several epochs of minibatches over the samples of one iteration.
 
-    Where a number comes out that is not finite, policy and optimiser stay as they were.
+    If a number is not finite, policy and optimiser stay unchanged.
     """
     before = loss(policy, batch, config.clip)
 
@@ -110,7 +110,7 @@ def _update(
 
 
 def loss(policy: GaussianPolicy, batch: Batch, clip: float) -> Float[Array, ""]:
-    """Minus the clipped surrogate.
+    """Negative clipped surrogate objective.
 
     Source: Schulman et al. 2017, equation 7.
     """
@@ -131,7 +131,7 @@ def minibatch_step(
 def _epoch(
     policy: GaussianPolicy, adam: optax.OptState, batch: Batch, config: PPO, *, key: Key[Array, ""]
 ) -> tuple[GaussianPolicy, optax.OptState]:
-    """All samples once, in a random order; the last minibatch may be smaller."""
+    """Use all samples once in a random order; the last minibatch may be smaller."""
     num = len(batch.advantages)
     size = min(config.minibatch, num)
     order = jr.permutation(key, num)

@@ -19,26 +19,27 @@ ShapeFn = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Rollout:
-    """What happened in one iteration, of all seeds or, without that axis, of one."""
+    """The steps of one iteration, of all seeds or, without the axis of seeds, of one seed."""
 
     obs: Float[np.ndarray, "time *seed env obs"]
     actions: Float[np.ndarray, "time *seed env action"]
     rewards: Float[np.ndarray, "time *seed env"]
-    """The task's own."""
+    """Rewards of the task."""
     shaping: Float[np.ndarray, "time *seed env"]
-    """What coming nearer to the goal was rewarded by, beside them; see `shaping`."""
+    """Shaping rewards, which are paid in addition; see `shaping`."""
     step: Int[np.ndarray, "time *seed env"]
-    """Steps since the episode's start, before the action."""
+    """Steps from the start of the episode to the action."""
     terminated: Bool[np.ndarray, "time *seed env"]
     timeout: Bool[np.ndarray, "time *seed env"]
-    """The episode reached the task's horizon there."""
+    """Whether the episode reached the task's horizon there."""
     cut: Bool[np.ndarray, "time *seed env"]
-    """The record ends there in the middle of an episode (the iteration's end, or diverged physics)."""
+    """Whether the record ends there within an episode: at the end of the iteration, or where physics
+    diverged."""
     next_obs: Float[np.ndarray, "time *seed env obs"]
-    """What was observed after the action, before any restart."""
+    """Observations after the action, before the next episode starts."""
 
     def of_seed(self, i: int) -> "Rollout":
-        """One seed's part, counted from 0."""
+        """The part of seed number `i`, counted from 0."""
         return Rollout(**{f.name: np.ascontiguousarray(getattr(self, f.name)[:, i]) for f in fields(self)})
 
 
@@ -115,14 +116,14 @@ def _restart(
 
 
 def wrong_actions(got: tuple[int, ...], wanted: tuple[int, ...]) -> UsageError:
-    """Builds the error for actions of another shape."""
+    """Build the error for actions of another shape."""
     return UsageError(
         f"Algorithm.collect must act with shape [seed, env, action] = {wanted}, got {got}. See {HOW_TO}."
     )
 
 
 def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float[np.ndarray, " seed"]]:
-    """Mean return and length of each seed's episodes that ended (of all, if none did), undiscounted."""
+    """Mean undiscounted return and length of each seed's episodes that ended, or of all if none ended."""
     ended = rollout.terminated | rollout.timeout
     returns = np.empty(ended.shape[1])
     lengths = np.empty(ended.shape[1])
@@ -141,7 +142,7 @@ def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float
 
 
 def first_returns(rollout: Rollout) -> Float[np.ndarray, " seed"]:
-    """Mean return of the first episode of each environment, by seed, undiscounted."""
+    """Mean undiscounted return of the first episode of each environment, for each seed."""
     ended = rollout.terminated | rollout.timeout | rollout.cut
     over = np.cumsum(ended, axis=0) - ended > 0  # an episode ended before this step
     return np.where(over, 0.0, rollout.rewards).sum(axis=0).mean(axis=1)

@@ -68,11 +68,11 @@ class Policy:
         return self.run / self.about["embeddings"][self.about["seeds"].index(self.seed)]
 
     def __call__(self, obs: Float[np.ndarray, "*batch obs"]) -> Float[np.ndarray, "*batch action"]:
-        """The mean action, within the environment's range.
+        """The mean action, clipped to the environment's limits.
 
         Raises:
-            PlanspaceError: the observation has another number of columns than it was trained with, or is so
-                large, or not finite, that there is no action.
+            PlanspaceError: the observation has another number of columns than in training, or the action is
+                not finite.
         """
         if obs.shape[-1] != self.about["num_obs"]:
             raise PlanspaceError(
@@ -80,21 +80,21 @@ class Policy:
                 f"({self.about['env_id']}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
                 f"got {obs.shape[-1]}."
             )
-        with np.errstate(all="ignore"):  # whether all is finite is seen below
+        with np.errstate(all="ignore"):  # checked below
             rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)
             rows = rows if self.statistics is None else self.statistics(rows)
             actions = self.network(rows[..., self.columns])[0]
         if not np.isfinite(actions).all():
             raise PlanspaceError(
-                f"{self.run}: an action of seed {self.seed} is not finite; its weights, or what it observed, "
-                "are beyond all measure."
+                f"{self.run}: an action of seed {self.seed} is not finite, because its weights or its "
+                "observations are too large."
             )
         actions = np.clip(actions, self.low, self.high).astype(np.float32)
         return actions.reshape(*obs.shape[:-1], len(self.low))
 
 
 def save_policies(run: Path, arrays: Arrays, about: dict[str, Any]) -> None:
-    """Writes the policies of a run; the description last, and without it there are none."""
+    """Write the policies of a run, the description last: a folder without it holds no policies."""
     sha256 = write_arrays(run / WEIGHTS, arrays)
     write_sealed(run / DESCRIPTION, {"schema": SCHEMA, "kind": "policies", "weights_sha256": sha256, **about})
 
@@ -136,7 +136,7 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
-    returns = [-np.inf if x is None else float(x) for x in about["returns"]]  # none: it was not finite
+    returns = [-np.inf if x is None else float(x) for x in about["returns"]]  # None was not finite
     i = int(np.argmax(returns)) if seed == "best" else seeds.index(seed)
     every_seed = read_arrays(run / WEIGHTS, sha256=str(about["weights_sha256"]))
     arrays = {name: array[i : i + 1] for name, array in every_seed.items()}
@@ -158,10 +158,10 @@ def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) ->
     columns = slice(*about["columns"])
     policy = Policy(run, about, seeds[i], network, std, columns, statistics, low, high)
     if not np.isfinite(std).all() or not (low < high).all():
-        raise ValueError("its actions have no deviation or no range")
+        raise ValueError("its actions have no standard deviation or no range")
     tried = np.stack([np.zeros(about["num_obs"], np.float32), np.ones(about["num_obs"], np.float32)])
     if policy(tried).shape != (2, len(std)):
-        raise ValueError("its network has other sizes than it says")
+        raise ValueError("its network has other sizes than its description")
     return policy
 
 
@@ -183,7 +183,7 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
         if about.get(name, "dense" if name == "reward" else None) not in known:
             raise ValueError(f"{name} is {quoted(about.get(name))}")
     if not all(type(number) is int for number in (*about["seeds"], about["num_obs"])):
-        raise TypeError("its seeds, or how much it observes, are no whole numbers")
+        raise TypeError("its seeds or its num_obs are not whole numbers")
     if not 0 < about["num_obs"] <= MAX_OBS:
         raise ValueError(f"it observes {about['num_obs']} numbers")
     embeddings = about.get("embeddings", ())
@@ -194,9 +194,9 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
 
 
 def _limits(numbers: list[float | None], unlimited: float) -> Float[np.ndarray, " action"]:
-    """The limits of an action on one side; JSON has no infinity, and says null."""
+    """Lower or upper limits of an action; null in JSON means no limit."""
     if not all(x is None or isinstance(x, int | float) for x in numbers):
-        raise TypeError("a limit of the actions is no number")
+        raise TypeError("a limit of its actions is not a number")
     limits = np.array([unlimited if x is None else x for x in numbers], np.float32)
     if not all(x is None or np.isfinite(limit) for x, limit in zip(numbers, limits, strict=True)):
         raise ValueError("a limit of its actions is not finite")

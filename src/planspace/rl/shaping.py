@@ -1,8 +1,8 @@
-"""Potential-based shaping: coming nearer to the goal is rewarded, and the best policy stays what it was.
+"""Potential-based shaping: a reward for approaching the goal that does not change the optimal policy.
 
 With Phi(x) = -scale d(x, goal) / d_0, the reward of a step grows by gamma Phi(x') - Phi(x) (Ng, Harada and
-Russell 1999); d_0 is the mean distance of the task's starts, so that distances of different kinds are worth
-the same. For one environment that is `PlanSpaceShaping`; here it is for all seeds at once.
+Russell 1999). d_0 is the mean distance of the task's starts, so that different distances have the same scale.
+`PlanSpaceShaping` does this for one environment, this module for all seeds at once.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 
 NUM_STARTS = 1000
-"""d_0 is a mean over so many starts."""
+"""Number of starts over which d_0 is a mean."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Shaping:
         Args:
             config: the settings.
             task: the task.
-            embeddings: what makes z: one for all seeds, or one for each.
+            embeddings: the embeddings that make z: one for all seeds, or one for each.
 
         Raises:
             UsageError: the task has no fixed goal, or shaping by z has no embedding.
@@ -92,8 +92,8 @@ class Shaping:
     def _potential(self, states: Float[np.ndarray, "env state"]) -> Float[np.ndarray, " env"]:
         by_seed = states.reshape(self.num_seeds, -1, states.shape[-1])
         groups = [by_seed] if len(self.distances) == 1 else list(by_seed[:, None])
-        ways = zip(self.distances, groups, self._typical, strict=True)
-        return np.concatenate([(-self.scale / far * distance(x)).ravel() for distance, x, far in ways])
+        parts = zip(self.distances, groups, self._typical, strict=True)
+        return np.concatenate([(-self.scale / d_0 * distance(x)).ravel() for distance, x, d_0 in parts])
 
     @cached_property
     def _typical(self) -> list[float]:
@@ -103,9 +103,9 @@ class Shaping:
 
 
 def _goal(task: Task) -> Float[np.ndarray, " state"]:
-    """The state a task is to come to: that of the planning problem that suits it."""
+    """The goal of the task's planning problem."""
     if task.target_size:
-        raise UsageError(f"shaping needs one goal; {task.name} has another target in every episode.")
+        raise UsageError(f"shaping needs one goal, but {task.name} has another target in every episode.")
     goal = load_problem(task.problem).goal
     return (np.array(goal.low) + np.array(goal.high)) / 2
 

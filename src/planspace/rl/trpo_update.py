@@ -1,7 +1,7 @@
-"""Trust region policy optimisation (Schulman et al. 2015), one update of one policy.
+"""One update of TRPO: trust region policy optimisation (Schulman et al. 2015).
 
-Notation: g the gradient of the surrogate, F the Fisher matrix of the policy, s = F^-1 g the search
-direction. A step is sqrt(2 max_kl / s F s) s, shortened until the surrogate improves within max_kl.
+Notation: g is the gradient of the surrogate objective, F the Fisher matrix of the policy, s = F^-1 g the
+search direction. A step is sqrt(2 max_kl / s F s) s, shortened until the surrogate improves within max_kl.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def update(
     advantages: Float[Array, " sample"],
     config: TRPO,
 ) -> tuple[GaussianPolicy, UpdateInfo]:
-    """One update from the samples of one iteration."""
+    """Update a policy from the samples of one iteration."""
     theta, rebuild = ravel_pytree(policy)
     old = jax.vmap(policy)(obs)
     old_log_prob = jax.vmap(lambda d, a: d.log_prob(a))(old, actions)
@@ -92,9 +92,9 @@ def fisher_product(
     theta: Float[Array, " parameter"],
     obs: Float[Array, "sample obs"],
 ) -> Callable[[Array], Array]:
-    """V -> F v, with F the mean Fisher matrix over the observations, which is the Hessian of the mean KL.
+    """The function v -> F v, with F the mean Fisher matrix over observations: the Hessian of the mean KL.
 
-    With J the Jacobian of (mean, log_std), F = J' diag(1 / sigma^2, 2) J: exact, and cheaper than
+    With J the Jacobian of (mean, log_std), F = J' diag(1 / sigma^2, 2) J. This is exact, and cheaper than
     differentiating the KL twice.
     """
 
@@ -116,7 +116,7 @@ def fisher_product(
 def conjugate_gradient(
     product: Callable[[Array], Array], b: Float[Array, " n"], steps: int
 ) -> Float[Array, " n"]:
-    """Solves A x = b for a positive definite A given as a product; stops moving once the residual is 0."""
+    """Solve A x = b for a positive definite A, given as the function v -> A v."""
 
     def one_step(state: tuple, _: None) -> tuple[tuple, None]:
         x, r, p, rr = state
