@@ -8,7 +8,7 @@ five seeds; geometry is the mean over them on validation demonstrations. The RL 
 iterations. Policies of the same seed share episode starts and noise, so arms are compared pair by pair, here
 with the prototype, by a bootstrap over embedding seeds and policies.
 
-Every unit is kept in results/embedding/ under the hash of what it depends on; the same command goes on.
+Metrics and returns are kept in results/embedding/candidates.csv; the same command trains what is missing.
 """
 
 import argparse
@@ -27,11 +27,11 @@ from planspace.embed.fit import fit_seeds
 from planspace.embed.geometry import measure
 from planspace.rl.config import TrainConfig
 from planspace.rl.training import train_policies
-from planspace.seams import plain_settings
 from planspace.storage.files import make_folder
-from planspace.storage.json_files import json_hash, read_json, write_json
+from planspace.study.tidy import Row, read_rows, write_rows
 
-RESULTS = Path(__file__).parents[1] / "results" / "embedding"
+FILE = Path(__file__).parents[1] / "results" / "embedding" / "candidates.csv"
+STUDY = "candidates"
 NUM_SEEDS = 5
 STEPS, LAST = 500_000, 10
 SHOWN = ("straightness", "speed_variation", "midpoint_error", "time_correlation")
@@ -98,15 +98,41 @@ CANDIDATES: dict[str, FitConfig] = {
 the mirror image of every training demonstration as well."""
 
 
-def embeddings_of(name: str, config: FitConfig, demos: Demos) -> tuple[list[Embedding], dict]:
-    """The embeddings of all seeds, and their validation geometry."""
+Returns = dict[int, list[float]]
+"""Final returns of the policies on each embedding, by its seed."""
+
+
+def fitted(name: str, demos: Demos) -> list[Embedding]:
+    """The embeddings of all seeds of a candidate."""
     trained_on = with_mirror_images(demos) if name == "mirrored" else demos
     with tempfile.TemporaryDirectory() as folder:
         out, seeds = Path(folder), list(range(NUM_SEEDS))
-        embeddings = fit_seeds(trained_on, out, config=config, seeds=seeds, split_seed=0)
+        return fit_seeds(trained_on, out, config=CANDIDATES[name], seeds=seeds, split_seed=0)
+
+
+def geometry_rows(name: str, embeddings: list[Embedding], demos: Demos) -> list[Row]:
+    """The validation geometry of a candidate's embeddings."""
     validation = demos.split(0)["validation"]
-    geometry = [asdict(measure(e, demos, validation)) for e in embeddings]
-    return embeddings, {"candidate": name, "fit": plain_settings(config), "validation": geometry}
+    rows = []
+    for seed, embedding in enumerate(embeddings):
+        metrics = asdict(measure(embedding, demos, validation))
+        rows += [Row(STUDY, name, seed, None, None, m, round(metrics[m], 5)) for m in SHOWN]
+    return rows
+
+
+def geometry_of(name: str, rows: list[Row]) -> dict[str, np.ndarray]:
+    """The validation geometry of a candidate: each metric of its seeds."""
+    own = [row for row in rows if row.arm == name]
+    return {m: np.array([row.value for row in own if row.metric == m]) for m in SHOWN}
+
+
+def returns_of(name: str, rows: list[Row]) -> Returns:
+    """The final returns of a candidate's policies."""
+    returns: Returns = {}
+    for row in rows:
+        if row.arm == name and row.metric == "final_return" and row.embedding is not None:
+            returns.setdefault(row.embedding, []).append(row.value)
+    return returns
 
 
 def with_mirror_images(demos: Demos) -> Demos:
@@ -123,38 +149,31 @@ def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
     return trained.history["return"][-LAST:].mean(axis=0).tolist()
 
 
-def run(name: str, demos: Demos, arguments: argparse.Namespace) -> dict:
-    """One candidate, as far as the results do not hold it yet."""
-    config = CANDIDATES[name]
-    of = {"name": name} if name == "mirrored" else {}
-    of |= {
-        "demos": demos.hash,
-        "fit": plain_settings(config),
-        "seeds": NUM_SEEDS,
-        "steps": STEPS,
-        "last": LAST,
-    }
-    unit = RESULTS / f"{json_hash(of)[:16]}.json"
-    result = read_json(unit) if unit.exists() else {}
-    arms = result.get("returns", {})
-    missing = [i for i in range(_arms(name, arguments)) if len(arms.get(str(i), [])) < arguments.policies]
-    if result and not missing:
-        return result
-    embeddings, result = embeddings_of(name, config, demos)
-    write_json(unit, {**result, "returns": arms})
+def run(name: str, demos: Demos, rows: list[Row], arguments: argparse.Namespace) -> None:
+    """Add to the rows what is missing of a candidate, and save them."""
+    arms = returns_of(name, rows)
+    missing = [i for i in range(_arms(name, arguments)) if len(arms.get(i, [])) < arguments.policies]
+    measured = any(row.arm == name for row in rows)
+    if measured and not missing:
+        return
+    embeddings = fitted(name, demos)
+    if not measured:
+        rows += geometry_rows(name, embeddings, demos)
+        write_rows(rows, make_folder(FILE.parent) / FILE.name)
     for i in missing:
-        have = arms.get(str(i), [])
-        more = policy_returns(embeddings[i], len(have), arguments.policies - len(have))
-        arms[str(i)] = have + more
-        write_json(unit, {**result, "returns": arms})
-    return {**result, "returns": arms}
+        first = len(arms.get(i, []))
+        more = policy_returns(embeddings[i], first, arguments.policies - first)
+        rows += [
+            Row(STUDY, name, first + k, i, STEPS, "final_return", round(x, 2)) for k, x in enumerate(more)
+        ]
+        write_rows(rows, FILE)
 
 
 def _arms(name: str, arguments: argparse.Namespace) -> int:
     return 0 if arguments.fit_only else min(arguments.embeddings, 1 if name == "pca" else NUM_SEEDS)
 
 
-def paired_interval(a: dict, b: dict, rng: np.random.Generator) -> tuple[float, float, float]:
+def paired_interval(a: Returns, b: Returns, rng: np.random.Generator) -> tuple[float, float, float]:
     """Mean difference of two arms and its 90 % interval, over embedding seeds and policies."""
     shared = sorted(k for k in set(a) & set(b) if a[k] and b[k])
     count = min(len(x[k]) for x in (a, b) for k in shared)
@@ -166,17 +185,17 @@ def paired_interval(a: dict, b: dict, rng: np.random.Generator) -> tuple[float, 
     return float(difference.mean()), *np.quantile(draws, [0.05, 0.95])
 
 
-def plot_trade_off(results: dict[str, dict]) -> matplotlib.figure.Figure:
-    """Return over straightness: what a straighter z costs a policy."""
+def plot_trade_off(names: list[str], rows: list[Row]) -> matplotlib.figure.Figure:
+    """Plot the return over straightness: what a straighter z costs a policy."""
     figure = matplotlib.figure.Figure(figsize=(7, 4.6), layout="constrained")
     axes = figure.subplots()
     points = []
-    for name, result in results.items():
-        arms = [arm for arm in result["returns"].values() if arm]
+    for name in names:
+        arms = returns_of(name, rows)
         if not arms:
             continue
-        straightness = np.array([g["straightness"] for g in result["validation"]])
-        returns = np.concatenate(arms)
+        straightness = geometry_of(name, rows)["straightness"]
+        returns = np.concatenate([*arms.values()])
         error = returns.std(ddof=1) / np.sqrt(len(returns))
         colour = "crimson" if name in ("modern", BASELINE) else "0.35"
         x, y = straightness.mean(), returns.mean()
@@ -186,7 +205,7 @@ def plot_trade_off(results: dict[str, dict]) -> matplotlib.figure.Figure:
         crowded = any(0 < other_x - x < 0.12 and abs(other_y - y) < 40 for other_x, other_y, *_ in points)
         side = {"xytext": (-6, -11), "ha": "right"} if crowded else {"xytext": (6, 5), "ha": "left"}
         axes.annotate(name, (x, y), textcoords="offset points", fontsize=8, color=colour, **side)
-    axes.set_xlabel("straightness on validation demonstrations (bars: deviation over five seeds)")
+    axes.set_xlabel("straightness on validation demonstrations (bars: standard deviation over five seeds)")
     axes.set_ylabel("return of the policy (bars: standard error)")
     axes.spines[["top", "right"]].set_visible(False)
     return figure
@@ -203,29 +222,34 @@ def main() -> None:
     parser.add_argument("--fit-only", action="store_true")
     parser.add_argument("--plot", type=Path, help="draw return over straightness into this file")
     arguments = parser.parse_args()
-    make_folder(RESULTS)
-    demos, rng = load_demos(arguments.demos), np.random.default_rng(0)
-    results = {name: run(name, demos, arguments) for name in arguments.only}
+    demos, rows = load_demos(arguments.demos), read_rows(FILE) if FILE.exists() else []
+    for name in arguments.only:
+        run(name, demos, rows, arguments)
+    print("\n".join(table(arguments.only, rows)))
+    if arguments.plot is not None:
+        plot_trade_off(arguments.only, rows).savefig(arguments.plot)
+
+
+def table(names: list[str], rows: list[Row]) -> list[str]:
+    """The table of some candidates, in Markdown."""
     columns = ["candidate", *(name.replace("_", " ") for name in SHOWN)]
     columns += ["embeddings x policies", "return (se)", "against the baseline, paired, 90 %"]
-    print("| " + " | ".join(columns) + " |\n|" + "---|" * len(columns))
-    for name, result in results.items():
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    baseline = returns_of(BASELINE, rows)
+    for name in names:
         cells = [name]
-        for metric in SHOWN:
-            values = np.array([g[metric] for g in result["validation"]])
+        for values in geometry_of(name, rows).values():
             cells.append(f"{values.mean():.3f} ± {values.std():.3f}")
-        arms = [arm for arm in result["returns"].values() if arm]
-        if arms:
-            values = np.concatenate(arms)
-            cells.append(f"{len(arms)} x {len(arms[0])}")
+        if arms := returns_of(name, rows):
+            values = np.concatenate([*arms.values()])
+            cells.append(f"{len(arms)} x {len(next(iter(arms.values())))}")
             cells.append(f"{values.mean():.0f} ({values.std(ddof=1) / np.sqrt(len(values)):.0f})")
-        if arms and name != BASELINE and results.get(BASELINE, {}).get("returns"):
-            mean, low, high = paired_interval(result["returns"], results[BASELINE]["returns"], rng)
-            cells.append(f"{mean:+.0f} ({low:+.0f} to {high:+.0f})")
+            if name != BASELINE and baseline:
+                mean, low, high = paired_interval(arms, baseline, np.random.default_rng(0))
+                cells.append(f"{mean:+.0f} ({low:+.0f} to {high:+.0f})")
         cells += [""] * (len(columns) - len(cells))
-        print("| " + " | ".join(cells) + " |", flush=True)
-    if arguments.plot is not None:
-        plot_trade_off(results).savefig(arguments.plot)
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
 
 
 if __name__ == "__main__":

@@ -5,12 +5,13 @@
 Swing-up with sin and cos, 200,000 steps a seed, with the settings the libraries share: 4000 steps an
 iteration in 20 environments, 2 x 32 tanh, discount 0.99; TRPO with 10 conjugate gradient steps, max KL 0.01,
 lambda 0.98; PPO with 10 epochs of minibatches of 500, Adam 1e-3, clip 0.2, lambda 0.95. The critics differ:
-theirs trains by gradient steps beside the policy, ours is fitted anew. Each seed of theirs is kept in
-results/rl/beside/ as it is done, and not run again; draws results/rl/beside-sb3.png and prints the table.
+the libraries train theirs by gradient steps along with the policy, planspace fits its critic again in each
+iteration. The seeds of the libraries are kept in results/rl/sb3.csv; an algorithm that is there is not run
+again. Draws results/rl/beside-sb3.png and prints the table.
 """
 
-import json
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -23,11 +24,12 @@ from planspace.rl.algorithms import PRESETS
 from planspace.rl.config import BATCH_STEPS, TrainConfig, with_settings
 from planspace.rl.learning_curve import learning_curve
 from planspace.rl.training import train_policies
-from planspace.storage.files import write_bytes
-from planspace.storage.json_files import read_json
+from planspace.storage.files import make_folder
+from planspace.study.tidy import Row, read_rows, write_rows
 from planspace.tasks.catalog import TASKS
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
+FILE = RESULTS / "sb3.csv"
 TASK, OBS = TASKS["cartpole-swingup"], "trig"
 NUM_SEEDS, STEPS = 10, 200_000
 SHARED: dict[str, Algorithm] = {
@@ -36,11 +38,8 @@ SHARED: dict[str, Algorithm] = {
 }
 
 
-def library(algo: str, seed: int) -> None:
-    """One seed of theirs: mean return of the episodes of each iteration."""
-    path = RESULTS / "beside" / f"{algo}-{seed}.json"
-    if path.exists():
-        return
+def library(algo: str, seed: int) -> list[Row]:
+    """Train one seed of the library; mean return of the episodes of each iteration."""
     import gymnasium
     import torch
     from sb3_contrib import TRPO
@@ -72,17 +71,23 @@ def library(algo: str, seed: int) -> None:
         agent = PPO("MlpPolicy", env, n_epochs=10, batch_size=500, learning_rate=1e-3, **shared)
     returns = Returns()
     agent.learn(STEPS, callback=returns)
-    write_bytes(path, (json.dumps({"returns": np.round(returns.kept, 2).tolist()}) + "\n").encode())
+    return [
+        Row("sb3", algo, seed, None, BATCH_STEPS * (i + 1), "return", round(value, 2))
+        for i, value in enumerate(returns.kept)
+    ]
 
 
 def main() -> None:
-    (RESULTS / "beside").mkdir(parents=True, exist_ok=True)
+    rows = read_rows(FILE) if FILE.exists() else []
+    missing = [algo for algo in SHARED if all(row.arm != algo for row in rows)]
     with ProcessPoolExecutor(2, get_context("spawn")) as workers:
-        units = [(algo, seed) for algo in SHARED for seed in range(NUM_SEEDS)]
-        list(workers.map(library, *zip(*units, strict=True)))
+        for algo in missing:
+            for more in workers.map(partial(library, algo), range(NUM_SEEDS)):
+                rows += more
+            write_rows(rows, make_folder(RESULTS) / FILE.name)
     curves = {}
     for algo in SHARED:
-        theirs = [read_json(RESULTS / "beside" / f"{algo}-{i}.json")["returns"] for i in range(NUM_SEEDS)]
+        theirs = [[r.value for r in rows if (r.arm, r.seed) == (algo, i)] for i in range(NUM_SEEDS)]
         name = "sb3-contrib" if algo == "trpo" else "Stable-Baselines3"
         config = TrainConfig(SHARED[algo], OBS, num_seeds=NUM_SEEDS, steps=STEPS)
         ours = train_policies(TASK, config).history["return"]

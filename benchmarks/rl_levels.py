@@ -19,6 +19,8 @@ from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.history import load_history
 from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve, smoothed
+from planspace.storage.files import make_folder
+from planspace.study.tidy import Row, read_rows, write_rows
 
 RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15

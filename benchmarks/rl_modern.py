@@ -1,13 +1,12 @@
-"""What the `modern` presets were chosen from: variants of one setting or two, six seeds (100 to 105) each.
+"""Candidates for the `modern` presets: variants of one or two settings, six seeds (100 to 105) each.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_modern.py [--out DIR]
 
-The seeds are others than those that any result is reported on. Each variant is kept in
-results/rl/modern/TASK-VARIANT.json as it is done, and not run again. An hour on two cores.
+No other result uses these seeds. Each variant is kept in results/rl/modern.csv as soon as it is done, and is
+not run again. An hour on two cores.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 from planspace.rl.algorithm import Algorithm
@@ -16,10 +15,10 @@ from planspace.rl.algorithms.ppo import PPO
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig, with_settings
 from planspace.rl.training import train_policies
-from planspace.storage.files import write_bytes
-from planspace.storage.json_files import read_json
+from planspace.storage.files import make_folder
+from planspace.study.tidy import Row, read_rows, write_rows
 
-RESULTS = Path(__file__).parent.parent / "results" / "rl" / "modern"
+FILE = Path(__file__).parent.parent / "results" / "rl" / "modern.csv"
 FIRST_SEED, NUM_SEEDS = 100, 6
 TASKS = {
     "cartpole-swingup": ("trig", 960_000),
@@ -55,22 +54,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/rl-modern"), help="folder of the runs")
     options = parser.parse_args()
-    RESULTS.mkdir(parents=True, exist_ok=True)
+    rows = read_rows(FILE) if FILE.exists() else []
     print("command: python benchmarks/rl_modern.py; mean of the last 10 iterations (worst, best); of all")
     for task, (obs, steps) in TASKS.items():
         for name, algorithm in VARIANTS.items():
-            path = RESULTS / f"{task}-{name}.json"
-            if not path.exists():
+            arm = f"{task}, {name}"
+            if all(row.arm != arm for row in rows):
                 seeds = {"num_seeds": NUM_SEEDS, "seed": FIRST_SEED}
                 config = TrainConfig(algorithm, obs, steps=steps, **seeds)
-                returns = train_policies(task, config, out=options.out / path.stem).history["return"]
+                returns = train_policies(task, config, out=options.out / f"{task}-{name}").history["return"]
                 last = returns[-10:].mean(axis=0)
-                row = {"mean": last.mean(), "worst": last.min(), "best": last.max(), "area": returns.mean()}
-                rounded = {key: round(float(value), 1) for key, value in row.items()}
-                write_bytes(path, (json.dumps(rounded) + "\n").encode())
-            row = read_json(path)
-            numbers = f"{row['mean']:>8} ({row['worst']}, {row['best']})"
-            print(f"{task:<18}{name:<24}{numbers:<28}{row['area']:>8}", flush=True)
+                of = (last.mean(), last.min(), last.max(), returns.mean())
+                rows += [
+                    Row("modern", arm, None, None, None, f"{metric}_return", round(float(value), 1))
+                    for metric, value in zip(("mean", "worst", "best", "whole"), of, strict=True)
+                ]
+                write_rows(rows, make_folder(FILE.parent) / FILE.name)
+            mean, worst, best, whole = (row.value for row in rows if row.arm == arm)
+            numbers = f"{mean:>8} ({worst}, {best})"
+            print(f"{task:<18}{name:<24}{numbers:<28}{whole:>8}", flush=True)
 
 
 if __name__ == "__main__":

@@ -189,7 +189,7 @@ def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float
 
 
 def probability_of_improvement(
-    arm: Float[np.ndarray, " seed"], other: Float[np.ndarray, " seed"]
+    arm: Float[np.ndarray, " seed"], other: Float[np.ndarray, " other_seed"]
 ) -> tuple[float, Interval]:
     """How often a seed of one arm is better than one of the other, ties counting half (Mann and Whitney)."""
 

@@ -40,7 +40,7 @@ FILE = "results.csv"
 POINTS = 25
 """Points of a learning curve that are kept; the numbers of the tables are computed from all of them."""
 LOG_POINTS = 20
-"""Points of the curves of an embedding's training."""
+"""Points of the curves of an embedding's training, each a mean of neighbouring rows of the log."""
 PLANS_TIME, FIT_TIME, POLICIES_TIME = "plans_core_seconds", "embedding_core_seconds", "policies_core_seconds"
 TRAINING = {"path_error": "training_path_error", "bound": "training_bound"}
 PLANS_METRICS = ("count", "reached", "median_duration_s")
@@ -194,13 +194,15 @@ def _fit_rows(head: Row, findings: Findings, unit: FitUnit) -> Iterator[Row]:
             yield head._replace(seed=found.seed, metric=metric, value=value)
     if unit.num_seeds < 2 or not found.log_steps:
         return
-    which = sorted({round(x) for x in np.linspace(0, len(found.log_steps) - 1, LOG_POINTS)})
+    blocks = np.array_split(np.arange(len(found.log_steps)), min(LOG_POINTS, len(found.log_steps)))
     for name, metric in TRAINING.items():
-        for i in which:
-            for k, value in enumerate(getattr(found, name)[i]):
-                if value is not None:
-                    step = found.log_steps[i]
-                    yield head._replace(seed=unit.seed + k, step=step, metric=metric, value=value)
+        values = np.array(getattr(found, name), dtype=float)
+        for block in blocks:
+            step = found.log_steps[block[-1]]
+            for k, value in enumerate(values[block].mean(axis=0)):
+                if np.isfinite(value):
+                    row = head._replace(seed=unit.seed + k, step=step, metric=metric)
+                    yield row._replace(value=round(float(value), 5))
 
 
 def _plans_rows(head: Row, findings: Findings, unit: PlansUnit) -> Iterator[Row]:
