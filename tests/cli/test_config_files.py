@@ -77,7 +77,7 @@ def test_wrong_settings_are_refused_with_file_and_name(settings: dict, message: 
 
 def test_a_file_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
     (tmp_path / "list.yaml").write_text("- 1\n")
-    with pytest.raises(PlanspaceError, match="must be a mapping"):
+    with pytest.raises(PlanspaceError, match="must hold keys and values"):
         read_config(tmp_path / "list.yaml")
     (tmp_path / "broken.yaml").write_text("{")
     with pytest.raises(PlanspaceError, match="is not valid YAML"):

@@ -5,23 +5,21 @@ command line still win. The options that decide which settings exist, such as `-
 """
 
 import contextlib
-import json
 import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import yaml
 from tyro.conf import arg
 
-from planspace.errors import PlanspaceError, UsageError, quoted, unknown
+from planspace.errors import UsageError, quoted, unknown
 from planspace.seams import is_object_path, load_object
-from planspace.storage.files import read_bytes
+from planspace.storage.json_files import read_json
+from planspace.tasks.strict_yaml import read_yaml
 
 Config = TypeVar("Config")
 
-MAX_CONFIG_BYTES = 1 << 20
 ConfigFile = Annotated[
     Path | None,
     arg(
@@ -76,20 +74,13 @@ def named_in_file(settings: Mapping[str, Any], seam: str) -> str | None:
 
 
 def read_config(path: str | Path) -> dict[str, Any]:
-    """Read a YAML or JSON file of settings.
+    """Read a file of settings, JSON if its name ends in .json and YAML otherwise.
 
     Raises:
         PlanspaceError: the file cannot be read, or is not a mapping of names to values.
     """
-    data = read_bytes(Path(path), most=MAX_CONFIG_BYTES, may_be_link=True)
-    try:
-        settings = json.loads(data) if Path(path).suffix == ".json" else yaml.safe_load(data)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        kind = "JSON" if Path(path).suffix == ".json" else "YAML"
-        raise PlanspaceError(f"{path} is not valid {kind}: {' '.join(str(error).split())}") from error
-    if not isinstance(settings, dict) or not all(isinstance(key, str) for key in settings):
-        raise PlanspaceError(f"{path} must be a mapping of settings to values.")
-    return settings
+    path = Path(path)
+    return read_json(path) if path.suffix == ".json" else read_yaml(path)
 
 
 def with_settings(

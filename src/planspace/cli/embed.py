@@ -54,7 +54,8 @@ class Embed:
         """The defaults that --preset, --objective and --config ask for."""
         path = given_option(arguments, "--config")
         file = {} if path is None else read_config(path)
-        file = update_saved(file.get("fit", file))  # an embedding's config.json has the settings under `fit`
+        if "fit" in file:  # the config.json of an embedding
+            file = update_saved(file["fit"])
         preset = given_option(arguments, "--preset") or file.get("preset", "modern")
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
