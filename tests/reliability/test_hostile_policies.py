@@ -41,7 +41,7 @@ POLICIES: dict[str, tuple[Change, str]] = {
     "huge observations": (lambda d: d.update(num_obs=10**12), "is invalid"),
     "columns that do not exist": (lambda d: d.update(columns=[5, 9]), "is invalid"),
     "no seeds": (lambda d: d.update(seeds=[], returns=[]), "is invalid"),
-    "text as a seed": (lambda d: d.update(seeds=["\x1b[2J"]), "is invalid .*no whole numbers"),
+    "text as a seed": (lambda d: d.update(seeds=["\x1b[2J"]), "is invalid .*not whole numbers"),
     "text as a return": (lambda d: d.update(returns=["x"]), "is invalid"),
     "huge action bound": (
         lambda d: d.update(action_low=[-1e308]),

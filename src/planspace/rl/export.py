@@ -7,10 +7,10 @@ import numpy as np
 
 from planspace.embed.embedding import DESCRIPTION, Embedding
 from planspace.rl.arm import Arm
-from planspace.rl.history import without_nan
+from planspace.rl.history import finite_or_none
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.policy_network import PolicyNetwork, log_stds
-from planspace.rl.saved_policy import EMBEDDING, save_policies
+from planspace.rl.saved_policy import EMBEDDING, PoliciesInfo, save_policies
 from planspace.rl.stack import stacked_layers
 from planspace.storage.arrays import Arrays
 from planspace.storage.provenance import Provenance
@@ -41,33 +41,27 @@ def export_policies(
             if not (out / folder / DESCRIPTION).exists():
                 embedding.save(out / folder)
     columns = observer.policy_columns
-    about = {
-        "task": arm.task.name,
-        **_identity(arm.task),
-        "obs": config.obs,
-        "reward": config.reward,
-        "z": config.z,
-        "z_to": config.z_to,
-        "num_obs": observer.num_obs,
-        "columns": [columns.start, columns.stop],
-        "layer_norm": networks[0].layer_norm,
-        "seeds": list(config.seeds),
-        "embeddings": [folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
-        **without_nan(
-            {
-                "action_low": arm.batch.simulator.control_low.tolist(),
-                "action_high": arm.batch.simulator.control_high.tolist(),
-                "returns": list(returns),
-            }
-        ),
-        "versions": Provenance.current().plain(),
-    }
+    simulator, shipped = arm.batch.simulator, is_shipped(arm.task)
+    about = PoliciesInfo(
+        task=arm.task.name,
+        env_id=arm.task.env_id if shipped else None,
+        obs=config.obs,
+        reward=config.reward,
+        z=config.z,
+        z_to=config.z_to,
+        num_obs=observer.num_obs,
+        columns=[columns.start, columns.stop],
+        layer_norm=networks[0].layer_norm,
+        action_low=finite_or_none(simulator.control_low.tolist()),
+        action_high=finite_or_none(simulator.control_high.tolist()),
+        seeds=list(config.seeds),
+        embeddings=[folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
+        returns=finite_or_none(returns),
+        versions=Provenance.current().plain(),
+    )
+    if not shipped:
+        about["task_sha256"] = arm.task.hash
     save_policies(out, _arrays(networks), about)
-
-
-def _identity(task: Task) -> dict[str, str | None]:
-    """What tells a task from others: the Gymnasium id of a shipped one, the content of another."""
-    return {"env_id": task.env_id} if is_shipped(task) else {"env_id": None, "task_sha256": task.hash}
 
 
 def is_shipped(task: Task) -> bool:

@@ -54,9 +54,9 @@ def with_row(history: Arrays, row: Arrays, number: int) -> Arrays:
     return updated
 
 
-def without_nan(row: dict[str, list[float]]) -> dict[str, list[float | None]]:
-    """The numbers as JSON can hold them: None for a number that is not finite."""
-    return {key: [x if np.isfinite(x) else None for x in numbers] for key, numbers in row.items()}
+def finite_or_none(numbers: Sequence[float]) -> list[float | None]:
+    """Numbers as JSON can hold them: None for a number that is not finite."""
+    return [x if np.isfinite(x) else None for x in numbers]
 
 
 def scalars(row: dict[str, list[float]], seeds: Iterable[int]) -> dict[str, float]:

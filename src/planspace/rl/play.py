@@ -7,8 +7,7 @@ from jaxtyping import Float
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
-from planspace.envs.task import TaskEnv
-from planspace.envs.wrappers import PlanSpaceObservation
+from planspace.envs import make as envs
 from planspace.errors import UsageError
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
@@ -27,12 +26,13 @@ def make_env(policy: Policy, task: Task | None = None) -> gymnasium.Env:
     """
     about = policy.about
     task = _task_of(policy, task)
-    env = TaskEnv(task, about["obs"], about.get("reward", "dense"))
-    env = gymnasium.wrappers.TimeLimit(env, task.horizon)
-    if about["z"] == "none":
-        return env
-    mode = "replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment"
-    return PlanSpaceObservation(env, policy.embedding, mode)
+    return envs.make_env(
+        task,
+        obs=about["obs"],
+        reward=about.get("reward", "dense"),
+        embedding=None if about["z"] == "none" else policy.embedding,
+        mode="replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment",
+    )
 
 
 def _task_of(policy: Policy, task: Task | None) -> Task:

@@ -70,17 +70,7 @@ def collect(
     noise = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
     batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
     obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
-    record = Rollout(
-        obs=np.empty((*size, obs.shape[-1]), np.float32),
-        actions=np.empty((*size, num_actions), np.float32),
-        rewards=np.empty(size),
-        shaping=np.zeros(size),
-        step=np.empty(size, int),
-        terminated=np.empty(size, bool),
-        timeout=np.empty(size, bool),
-        cut=np.zeros(size, bool),
-        next_obs=np.empty((*size, obs.shape[-1]), np.float32),
-    )
+    record = _empty_rollout(size, obs.shape[-1], num_actions)
     since_start = np.zeros(size[1:], int)
     for t in range(num_steps):
         actions = act(obs, noise[t])
@@ -105,6 +95,21 @@ def collect(
             obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
     record.cut[-1] |= ~(record.terminated[-1] | record.timeout[-1])
     return record
+
+
+def _empty_rollout(size: tuple[int, int, int], num_obs: int, num_actions: int) -> Rollout:
+    """Room for steps of this size [time, seed, env]."""
+    return Rollout(
+        obs=np.empty((*size, num_obs), np.float32),
+        actions=np.empty((*size, num_actions), np.float32),
+        rewards=np.empty(size),
+        shaping=np.zeros(size),
+        step=np.empty(size, int),
+        terminated=np.empty(size, bool),
+        timeout=np.empty(size, bool),
+        cut=np.zeros(size, bool),
+        next_obs=np.empty((*size, num_obs), np.float32),
+    )
 
 
 def _restart(

@@ -8,7 +8,7 @@ RUN/embedding/             the embedding that makes z; if there are several, RUN
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NotRequired, TypedDict, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -21,7 +21,7 @@ from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
 from planspace.tasks.catalog import TASKS
-from planspace.tasks.observation_types import OBSERVATION_TYPES, RewardType
+from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
@@ -36,15 +36,43 @@ ALLOWED = {
 """Values that a description may have."""
 
 
+class PoliciesInfo(TypedDict):
+    """The description of a run's policies, in `policies.json`."""
+
+    task: str
+    env_id: str | None
+    """Its Gymnasium id; None for a task that planspace does not ship."""
+    task_sha256: NotRequired[str]
+    """Hash of the content of a task that planspace does not ship."""
+    obs: ObservationType
+    reward: NotRequired[RewardType]
+    z: ZMode
+    z_to: ZTarget
+    num_obs: int
+    """Numbers in an observation, including z."""
+    columns: list[int | None]
+    """First and last column that the policies read."""
+    layer_norm: bool
+    action_low: list[float | None]
+    """Lower limits of an action; None for no limit."""
+    action_high: list[float | None]
+    """Upper limits of an action; None for no limit."""
+    seeds: list[int]
+    embeddings: list[str]
+    """The folder of each seed's embedding; empty without z."""
+    returns: list[float | None]
+    """Return of each seed in the last evaluation; None if it is not finite."""
+    versions: dict[str, str]
+
+
 @dataclass(frozen=True)
 class Policy:
     """The policy of one seed."""
 
     run: Path
     """The run that trained it."""
-    about: dict[str, Any]
-    """`task`, `env_id` (None for a task that planspace does not ship), `obs`, `z`, `z_to`, `seeds`, `returns`
-    (of each seed, in the last evaluation), `embeddings` (the folder of each seed's) and `versions`."""
+    about: PoliciesInfo
+    """The description of the run's policies."""
     seed: int
     """Its seed."""
     network: Stack
@@ -93,7 +121,7 @@ class Policy:
         return actions.reshape(*obs.shape[:-1], len(self.low))
 
 
-def save_policies(run: Path, arrays: Arrays, about: dict[str, Any]) -> None:
+def save_policies(run: Path, arrays: Arrays, about: PoliciesInfo) -> None:
     """Write the policies of a run, the description last: a folder without it holds no policies."""
     sha256 = write_arrays(run / WEIGHTS, arrays)
     write_sealed(run / DESCRIPTION, {"schema": SCHEMA, "kind": "policies", "weights_sha256": sha256, **about})
@@ -131,14 +159,15 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
         return _assembled(run, about, seed)
 
 
-def _assembled(run: Path, about: dict[str, Any], seed: int | Literal["best"]) -> Policy:
-    _check_about(run / DESCRIPTION, about)
+def _assembled(run: Path, saved: dict[str, Any], seed: int | Literal["best"]) -> Policy:
+    _check_about(run / DESCRIPTION, saved)
+    about = cast(PoliciesInfo, saved)
     seeds = about["seeds"]
     if seed != "best" and seed not in seeds:
         raise UsageError(f"{run} has seeds {seeds[0]} to {seeds[-1]}, not {seed}.")
     returns = [-np.inf if x is None else float(x) for x in about["returns"]]  # None was not finite
     i = int(np.argmax(returns)) if seed == "best" else seeds.index(seed)
-    every_seed = read_arrays(run / WEIGHTS, sha256=str(about["weights_sha256"]))
+    every_seed = read_arrays(run / WEIGHTS, sha256=str(saved["weights_sha256"]))
     arrays = {name: array[i : i + 1] for name, array in every_seed.items()}
     bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
     if bad:

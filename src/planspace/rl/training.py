@@ -28,7 +28,7 @@ from planspace.rl.checks import (
 )
 from planspace.rl.config import TrainConfig
 from planspace.rl.export import export_policies, is_shipped
-from planspace.rl.history import COMMON, EVALUATION, HISTORY, load_history, scalars, with_row, without_nan
+from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
 from planspace.rl.observe import Observer
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.rollout import collect, episode_returns, first_returns
@@ -111,16 +111,12 @@ def train_policies(
         UsageError: settings, task, algorithm and embedding do not fit together.
     """
     task = find_task(task)
-    config = config or TrainConfig()
-    if algorithm is not None:
-        chosen = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-        config = replace(config, algorithm=chosen)
+    config = _with_algorithm(config or TrainConfig(), algorithm)
     find_reward_type(config.reward, task)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
     dealt = _dealt(given, config)
-    observer = Observer(
-        task, config.obs, config.z, config.z_to, dealt if config.z != "none" else (), config.num_seeds
-    )
+    seen = dealt if config.z != "none" else ()
+    observer = Observer(task, config.obs, config.z, config.z_to, seen, config.num_seeds)
     shaping = Shaping.of(config, task, dealt)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
@@ -128,12 +124,18 @@ def train_policies(
     if (run / HISTORY).exists():
         history = load_history(run, (config.iterations, config.num_seeds))
     else:
-        batch = TaskBatch(
-            task, config.num_seeds * num_episodes(task, config.batch_steps), reward=config.reward
-        )
+        num = config.num_seeds * num_episodes(task, config.batch_steps)
+        batch = TaskBatch(task, num, reward=config.reward)
         with progress_shown(verbose):
             history = _train(Arm(config, observer, batch, shaping), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
+
+
+def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> TrainConfig:
+    """The settings with another algorithm, if there is one."""
+    if algorithm is None:
+        return config
+    return replace(config, algorithm=find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm)
 
 
 def num_episodes(task: Task, batch_steps: int) -> int:
@@ -211,14 +213,10 @@ def _run(training: _Training, state: _State, first: int, out: Path, track: Seque
     ):
 
         def save() -> None:
-            rows = [_row(state.history, config, i) for i in range(saved, done)]
-            for i, row in enumerate(rows, saved + 1):
+            rows = {i + 1: _row(state.history, config, i) for i in range(saved, done)}
+            for i, row in rows.items():
                 add_scalars(i * steps, scalars(row, config.seeds))
-            log = [
-                {"iteration": i, "saved": time.time(), **without_nan(row)}
-                for i, row in enumerate(rows, saved + 1)
-            ]
-            append_rows(out / "log.jsonl", log, key="iteration")
+            append_rows(out / "log.jsonl", _log_rows(rows), key="iteration")
             save_checkpoint(out, state, {"iteration": done})
 
         try:
@@ -246,6 +244,15 @@ def _row(history: Arrays, config: TrainConfig, i: int) -> dict[str, list[float]]
     if i + 1 in config.evaluations:
         row[EVALUATION] = history[EVALUATION][config.evaluations.index(i + 1)].tolist()
     return row
+
+
+def _log_rows(rows: dict[int, dict[str, list[float]]]) -> list[dict[str, Any]]:
+    """Rows of the log, by the number of their iteration."""
+    return [
+        {"iteration": i, "saved": time.time()}
+        | {key: finite_or_none(numbers) for key, numbers in row.items()}
+        for i, row in rows.items()
+    ]
 
 
 def _iterate(training: _Training, state: _State, iteration: int) -> _State:

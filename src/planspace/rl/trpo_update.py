@@ -9,7 +9,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from planspace.embed.gaussian import kl
 from planspace.rl.agent import AgentState, ImproveFn, Improvement, Samples
@@ -59,18 +59,7 @@ def update(
         accepted = (surrogate > before) & (mean_kl <= config.max_kl)  # false for NaN
         return candidate, surrogate - before, mean_kl, accepted
 
-    def search_on(state: tuple) -> Array:
-        k, (_, _, _, accepted) = state
-        return ~accepted & (k + 1 < config.max_backtracks) & usable
-
-    def shorten(state: tuple) -> tuple:
-        k, _ = state
-        return k + 1, try_step(k + 1)
-
-    first = jnp.array(0)
-    k, (candidate, improvement, mean_kl, accepted) = jax.lax.while_loop(
-        search_on, shorten, (first, try_step(first))
-    )
+    k, (candidate, improvement, mean_kl, accepted) = line_search(try_step, usable, config.max_backtracks)
     accepted &= usable
     chosen = rebuild(jnp.where(accepted, candidate, theta))
     info = UpdateInfo(
@@ -85,6 +74,34 @@ def update(
 
 
 _update = jax.jit(update, static_argnames="config")
+
+
+def line_search(
+    try_step: Callable[[Array], tuple[Array, Array, Array, Array]],
+    usable: Bool[Array, ""],
+    max_backtracks: int,
+) -> tuple[Int[Array, ""], tuple[Array, Array, Array, Array]]:
+    """Try shorter and shorter steps until one is accepted.
+
+    Args:
+        try_step: the number of a step to the parameters after it, improvement, KL and whether it is accepted.
+        usable: whether to search at all.
+        max_backtracks: largest number of steps to try.
+
+    Returns:
+        The number of the last step tried, and its result.
+    """
+
+    def search_on(state: tuple) -> Array:
+        k, (_, _, _, accepted) = state
+        return ~accepted & (k + 1 < max_backtracks) & usable
+
+    def shorten(state: tuple) -> tuple:
+        k, _ = state
+        return k + 1, try_step(k + 1)
+
+    first = jnp.array(0)
+    return jax.lax.while_loop(search_on, shorten, (first, try_step(first)))
 
 
 def fisher_product(
