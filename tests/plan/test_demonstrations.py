@@ -18,13 +18,19 @@ from planspace.tasks.problem_file import load_problem
 
 from ..conftest import QUICK_PLANNER
 
+UNPOLISHED = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=0))
 
-def test_interrupted_planning_ends_as_undisturbed_planning_did(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [("cartpole", UNPOLISHED), pytest.param("cartpole-swingup", QUICK_PLANNER, marks=pytest.mark.slow)],
+)
+def test_interrupted_planning_ends_like_uninterrupted_planning(
+    name: str, config: PlanConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem, planned = load_problem("cartpole-swingup"), []
+    problem, planned = load_problem(name), []
     plan, out = Pipeline.plan, tmp_path / "interrupted"
-    plan_into(problem, tmp_path / "alone", num=12, seed=0, config=QUICK_PLANNER, workers=0)
+    plan_into(problem, tmp_path / "alone", num=12, seed=0, config=config, workers=0)
 
     def counted(*args: object):
         planned.append(args[-1])
@@ -34,13 +40,14 @@ def test_interrupted_planning_ends_as_undisturbed_planning_did(
 
     monkeypatch.setattr(Pipeline, "plan", counted)
     with pytest.raises(KeyboardInterrupt):
-        plan_into(problem, out, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+        plan_into(problem, out, num=12, seed=0, config=config, workers=0)
     assert len(load_demos(out)) == 11  # a full shard, and the plan that was done when it was stopped
-    plan_into(problem, out, num=12, seed=0, config=QUICK_PLANNER, workers=0)
+    plan_into(problem, out, num=12, seed=0, config=config, workers=0)
     assert planned == [*range(12), 11]  # nothing on disk was planned again
     assert load_demos(out).hash == load_demos(tmp_path / "alone").hash
 
 
+@pytest.mark.slow
 def test_plans_do_not_depend_on_the_number_of_workers(demos: Demos, tmp_path: Path) -> None:
     plan_into(load_problem("cartpole-swingup"), tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=3)
     assert load_demos(tmp_path).hash == demos.hash  # planned by one for each core

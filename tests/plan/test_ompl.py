@@ -3,6 +3,7 @@ import importlib.util
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,9 +23,14 @@ from planspace.tasks.problem_file import load_problem
 needs_ompl = pytest.mark.skipif(importlib.util.find_spec("ompl") is None, reason="needs the extra ompl")
 
 
+def with_slow(algorithms: tuple[str, ...], quick: str) -> list[Any]:
+    """All algorithms; those that take their whole time are marked slow."""
+    return [a if a == quick else pytest.param(a, marks=pytest.mark.slow) for a in algorithms]
+
+
 @pytest.mark.ompl
 @needs_ompl
-@pytest.mark.parametrize("algorithm", CONTROL_ALGORITHMS)
+@pytest.mark.parametrize("algorithm", with_slow(CONTROL_ALGORITHMS, "RRT"))
 def test_every_control_planner_finds_an_easy_way(algorithm: str) -> None:
     """A pendulum near the top, to within a generous 0.4."""
     problem = replace(load_problem("pendulum"), tolerance=0.4)
@@ -40,7 +46,7 @@ def test_every_control_planner_finds_an_easy_way(algorithm: str) -> None:
 
 @pytest.mark.ompl
 @needs_ompl
-@pytest.mark.parametrize("algorithm", GEOMETRIC_ALGORITHMS)
+@pytest.mark.parametrize("algorithm", with_slow(GEOMETRIC_ALGORITHMS, "RRTConnect"))
 def test_every_geometric_planner_finds_a_way(algorithm: str, tmp_path: Path) -> None:
     """On the near side of the post: a slow machine must find it too."""
     near = (-0.6, 0.8, 0.0, 1.1, 0.0, 0.0, 0.0)

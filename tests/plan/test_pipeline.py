@@ -1,6 +1,7 @@
 """One demonstration: search, polish and proof."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,14 @@ from planspace.plan.proof import replay_plan
 from planspace.tasks.problem import Box
 from planspace.tasks.problem_file import load_problem, shipped_problems
 
+SLOW = {"acrobot", "arm", "arm-kinematic", "quadrotor"}
 
-@pytest.mark.parametrize("name", [n for n in shipped_problems() if n != "acrobot"])
+
+def marked(name: str) -> Any:
+    return pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in shipped_problems() if name != "acrobot"])
 def test_every_shipped_problem_is_solved(name: str) -> None:
     problem = load_problem(name)
     config = PlanConfig.for_problem(problem, restarts=1, polish_max_iterations=12)
@@ -39,6 +46,7 @@ def test_the_acrobot_is_solved() -> None:
     assert not isinstance(Pipeline(problem, config).plan(0, 0), Failure)
 
 
+@pytest.mark.slow
 def test_polish_makes_plans_shorter_and_restarts_never_longer() -> None:
     problem = load_problem("cartpole-swingup")
     lengths = {}
@@ -86,6 +94,7 @@ def test_holding_must_not_leave_what_is_valid() -> None:
     assert not isinstance(replay_plan(query, brakes), Failure)
 
 
+@pytest.mark.slow
 def test_a_goal_that_need_not_be_held_can_be_run_through() -> None:
     """The pole level and moving: no control holds it, so with `hold` nothing is accepted."""
     problem = load_problem("cartpole-swingup")
@@ -97,6 +106,7 @@ def test_a_goal_that_need_not_be_held_can_be_run_through() -> None:
     assert not isinstance(Pipeline(replace(moving, hold=False), config).plan(0, 0), Failure)
 
 
+@pytest.mark.slow
 def test_rotations_are_stored_with_one_sign_and_an_end_of_positive_w() -> None:
     problem = load_problem("ball-pendulum")
     episode = Pipeline(problem, PlanConfig.for_problem(problem, restarts=1)).plan(0, 1)

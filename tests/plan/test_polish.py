@@ -52,6 +52,7 @@ def test_a_double_integrator_moves_in_its_bang_bang_time() -> None:
     assert 18 <= len(controls) <= 21 < len(wandering)
 
 
+@pytest.mark.slow
 def test_a_swing_up_gets_shorter_and_stays_within_its_limits() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
@@ -78,6 +79,7 @@ def test_effort_is_saved_at_the_same_duration() -> None:
     assert np.abs(controls).sum() < 0.7 * np.abs(wandering).sum()
 
 
+@pytest.mark.slow
 def test_a_plan_that_misses_its_goal_is_landed() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
@@ -88,6 +90,7 @@ def test_a_plan_that_misses_its_goal_is_landed() -> None:
     assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
 
 
+@pytest.mark.slow
 def test_long_plans_are_polished_in_blocks() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
@@ -110,6 +113,7 @@ def test_a_goal_out_of_reach_is_given_up() -> None:
 
 
 @pytest.mark.parametrize("name", ["arm", "quadrotor"])
+@pytest.mark.slow
 def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str) -> None:
     problem = load_problem(name)
     simulator, config = make(problem), PlanConfig.for_problem(problem)

@@ -53,6 +53,7 @@ def test_more_rounds_never_make_a_longer_plan() -> None:
     assert long.cost <= short.cost
 
 
+@pytest.mark.slow
 def test_effort_is_another_cost_than_duration() -> None:
     problem = replace(load_problem("cartpole-swingup"), cost="effort")
     config = replace(CONFIG, min_rounds=30)

@@ -1,7 +1,7 @@
-"""How far apart the geoms are that must not touch, and how that changes with the positions.
+"""Distances between geoms that must not touch, and how they change with the positions.
 
-MuJoCo's distance sensors measure it, on a model of their own so that planning does not pay for them. Slopes
-are finite differences, taken where something is near.
+MuJoCo's distance sensors measure them, on a separate model, so that simulation does not become slower. Slopes
+are finite differences, computed only where two geoms are close.
 """
 
 import itertools
@@ -15,25 +15,25 @@ from planspace.physics.space import StateSpace
 from planspace.tasks.problem import Problem
 
 REACH = 0.2
-"""Distances are measured up to this [m]; further is as far."""
+"""Largest distance that is measured [m]; larger ones count as this."""
 NEAR = 0.1
-"""Slopes are computed for states in which some pair is nearer than this [m]."""
+"""Slopes are computed for states in which some pair is closer than this [m]."""
 NUDGE = 1e-5
 MAX_PAIRS = 200
-"""With more pairs than this, contacts are only checked, not kept away from."""
+"""With more pairs than this, distances are not kept; contacts are only checked."""
 BATCH = 512
 
 
 class Clearance:
-    """Distances between the geoms that a problem forbids to touch."""
+    """Distances between the geoms that must not touch in a problem."""
 
     def __init__(self, problem: Problem, space: StateSpace, *, threads: int = 0):
-        """Builds the measuring model.
+        """Build the model with sensors.
 
         Args:
-            problem: with forbidden contacts.
+            problem: a problem with forbidden contacts.
             space: its state space.
-            threads: physics threads; 0 takes all CPUs.
+            threads: physics threads; 0 uses all CPUs.
         """
         spec = mujoco.MjSpec.from_string(problem.mjcf)
         for number, geom in enumerate(spec.geoms):
@@ -50,7 +50,7 @@ class Clearance:
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
 
     def distances(self, states: Float[np.ndarray, "step state"]) -> Float[np.ndarray, "step pair"]:
-        """The distance of every pair in each state [m], negative where they overlap, at most `REACH`."""
+        """The distance of every pair in each state [m]: negative if they overlap, at most `REACH`."""
         found = np.empty((len(states), self.num_pairs))
         if not self.num_pairs:
             return found
@@ -66,7 +66,7 @@ class Clearance:
     def slopes(
         self, states: Float[np.ndarray, "step state"], distances: Float[np.ndarray, "step pair"]
     ) -> Float[np.ndarray, "step pair dof"]:
-        """How each distance changes with each position [m a rad or m]; zero where nothing is near."""
+        """Change of each distance per change of each position [m/rad or m/m]; 0 where nothing is close."""
         space, n = self._space, self._space.num_dofs
         slopes = np.zeros((*distances.shape, n))
         near = np.flatnonzero((distances < NEAR).any(axis=1))
@@ -81,7 +81,7 @@ class Clearance:
 
 
 def collidable_pairs(model: mujoco.MjModel) -> tuple[tuple[str, str], ...]:
-    """The pairs of geoms that MuJoCo would let collide: by their bits, bodies, parents and exclusions."""
+    """The pairs of geoms that can collide in MuJoCo, given their bits, bodies, parents and exclusions."""
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
     weld, parent = model.body_weldid, model.body_parentid
 

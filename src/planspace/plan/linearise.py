@@ -1,6 +1,6 @@
-"""Dynamics linearised by finite differences of the batch, in the tangent space of the states.
+"""Dynamics linearised by finite differences in batched simulation, in the tangent space of the states.
 
-(`mjd_transitionFD` would do, but not with the Runge-Kutta integrator many models use.)
+(`mjd_transitionFD` does not support the Runge-Kutta integrator that many models use.)
 
     A_k = d x_{k+1} / d x_k,    B_k = d x_{k+1} / d u_k
 """
@@ -11,7 +11,8 @@ from jaxtyping import Float
 from planspace.physics.simulator import Simulator
 
 NUDGE = 1e-6
-"""Half the width of the differences. Controls are nudged inwards at their bounds, where MuJoCo clips them."""
+"""Half of the width of the differences. At a bound, where MuJoCo clips controls, they are moved only
+inwards."""
 EQUILIBRIUM_ITERATIONS = 5
 
 
@@ -21,16 +22,16 @@ def along(
     controls: Float[np.ndarray, "step control"],
     num_steps: int = 1,
 ) -> tuple[Float[np.ndarray, "step tangent tangent"], Float[np.ndarray, "step tangent control"]]:
-    """Linearises at each state and control; overwrites simulations.
+    """Linearise at each state and control.
 
     Args:
-        simulator: any number of simulations.
-        states: where.
-        controls: under which control.
-        num_steps: physics steps for which the control is held.
+        simulator: any number of simulations; overwritten.
+        states: the states.
+        controls: the control in each state.
+        num_steps: physics steps for which each control is held.
 
     Returns:
-        A and B at each.
+        A and B for each state.
     """
     space, count = simulator.space, len(states)
     n, m = space.tangent_size, controls.shape[1]
@@ -50,13 +51,13 @@ def along(
 def sensitivities(
     a: Float[np.ndarray, "step tangent tangent"], b: Float[np.ndarray, "step tangent control"]
 ) -> Float[np.ndarray, "time tangent variable"]:
-    """How each state of a trajectory answers to each control of it, controls laid end to end."""
+    """Change of each state of a trajectory per change of each of its controls, laid end to end."""
     count, n, m = b.shape
-    answer = np.zeros((count + 1, n, count * m))
+    sensitivity = np.zeros((count + 1, n, count * m))
     for k in range(count):
-        answer[k + 1, :, : k * m] = a[k] @ answer[k, :, : k * m]
-        answer[k + 1, :, k * m : (k + 1) * m] = b[k]
-    return answer
+        sensitivity[k + 1, :, : k * m] = a[k] @ sensitivity[k, :, : k * m]
+        sensitivity[k + 1, :, k * m : (k + 1) * m] = b[k]
+    return sensitivity
 
 
 def tracking_gains(
@@ -65,7 +66,7 @@ def tracking_gains(
     state_cost: Float[np.ndarray, " tangent"],
     control_cost: Float[np.ndarray, " control"],
 ) -> Float[np.ndarray, "step control tangent"]:
-    """Time-varying LQR gains that keep a simulation on the trajectory."""
+    """Gains of a time-varying LQR that keeps a simulation on the trajectory."""
     count, n, m = b.shape
     gains, value = np.zeros((count, m, n)), np.diag(state_cost)
     for k in reversed(range(count)):
@@ -78,7 +79,7 @@ def tracking_gains(
 def equilibrium_control(
     simulator: Simulator, state: Float[np.ndarray, " state"]
 ) -> Float[np.ndarray, " control"]:
-    """The control within bounds under which a state stays where it is as nearly as can be (Gauss-Newton)."""
+    """The control within bounds under which a state changes least (Gauss-Newton)."""
     low, high = simulator.control_low, simulator.control_high
     control = np.clip(np.zeros(len(low)), low, high)
     for _ in range(EQUILIBRIUM_ITERATIONS):
@@ -90,7 +91,7 @@ def equilibrium_control(
 
 
 def _step_all(simulator: Simulator, starts: np.ndarray, controls: np.ndarray, num_steps: int) -> np.ndarray:
-    """One control from each start, in as many goes as the simulator needs."""
+    """Apply one control from each start, in batches of the simulator's size."""
     ends = np.empty_like(starts)
     for first in range(0, len(starts), simulator.num):
         part = slice(first, min(first + simulator.num, len(starts)))

@@ -29,9 +29,9 @@ MAX_REDRAWS = 1000
 NUM_SIMULATIONS = 512
 """Simulations that a planner finds in its query."""
 LANDINGS = (1.0, 0.5, 0.2)
-"""A polished plan whose goal cannot be held is polished again towards these fractions of the tolerance ..."""
+"""A polished plan whose goal cannot be held is polished again, towards these fractions of the tolerance."""
 DEEPER_STEPS = 10
-"""... with this many more physics steps."""
+"""Physics steps added to a plan before it is polished again."""
 
 
 class Pipeline:

@@ -32,9 +32,9 @@ GENTLE = 0.25
 WIDER = 4.0
 """The trust region grows by this factor after a change that was right as a whole."""
 LEAST_TRUST = 0.3
-"""The trust region shrinks by no more than this factor at once ..."""
+"""The trust region shrinks by no more than this factor at once."""
 SMALLEST_RADIUS = 1e-3
-"""... and never below this fraction of a control's range."""
+"""The trust region never shrinks below this fraction of a control's range."""
 PATIENCE = 4
 """An aim is given up after this many changes that brought little; one that brought nothing counts twice."""
 

@@ -1,7 +1,7 @@
-"""The last stretch of a plan, and whether its goal can be held: a linear quadratic regulator (LQR).
+"""The last part of a plan, and holding its goal: a linear quadratic regulator (LQR).
 
-A sampling planner comes near a goal, hardly ever onto it. The regulator takes over from the first state it
-can stabilise; whether it can is found by simulating, not by theory.
+A sampling planner comes near a goal but rarely reaches it. The regulator takes over from the first state that
+it can stabilise. Whether it can is decided by simulation, not by theory.
 """
 
 import numpy as np
@@ -14,12 +14,12 @@ from planspace.plan.config import RegulatorConfig
 from planspace.tasks.problem import Goal
 
 DISCOUNTS = (1.0, 0.995)
-"""A direction that neither matters nor can be controlled (a rod's turn about itself) has no finite cost; it
-has a discounted one."""
+"""Discounts that are tried in turn. A direction that has no weight and cannot be controlled, such as the
+rotation of a rod about its axis, has no finite cost, only a discounted one."""
 
 
 class Regulator:
-    """An LQR about the middle of one goal, with the controls clipped to their bounds."""
+    """An LQR about the centre of one goal, with its controls clipped to their bounds."""
 
     def __init__(
         self,
@@ -28,12 +28,12 @@ class Regulator:
         weights: Float[np.ndarray, " tangent"],
         config: RegulatorConfig,
     ):
-        """Finds the control that holds the goal, linearises there and solves the Riccati equation.
+        """Find the control that holds the goal, linearise there and solve the Riccati equation.
 
         Args:
             simulator: its states are overwritten.
             goal: the goal.
-            weights: how much each number of a tangent counts.
+            weights: weight of each number of a tangent.
             config: the other settings.
         """
         self.goal, self.config = goal, config
@@ -46,7 +46,7 @@ class Regulator:
         cost[space.num_dofs :] *= config.velocity_cost
         cost *= goal.weights > 0
         self.value, self.gain = np.diag(cost), np.zeros((len(effort), len(cost)))
-        for discount in DISCOUNTS:  # what cannot be stabilised at all is ordered by distance, and not steered
+        for discount in DISCOUNTS:  # if none works, states are ordered by distance and not steered
             try:
                 self.value = scipy.linalg.solve_discrete_are(discount * a[0], b[0], np.diag(cost), effort)
             except np.linalg.LinAlgError:
@@ -61,7 +61,7 @@ class Regulator:
         return np.clip(self.hold_control - off @ self.gain.T, self._low, self._high)
 
     def cost_to_go(self, states: Float[np.ndarray, "batch state"]) -> Float[np.ndarray, " batch"]:
-        """The linear model's cost from each state; orders candidates, promises nothing."""
+        """The cost from each state in the linear model; it orders candidates, no more."""
         off = self._space.difference(states, self.goal.center)
         return np.einsum("bi,ij,bj->b", off, self.value, off)
 
@@ -70,11 +70,11 @@ class Regulator:
     ) -> tuple[
         Float[np.ndarray, "batch step control"], Int[np.ndarray, " batch"], Bool[np.ndarray, " batch"]
     ]:
-        """Simulates the regulator from each state.
+        """Simulate the regulator from each state.
 
         Returns:
-            The controls it applied, how many of them until the goal region was entered or it gave up, and
-            whether it was entered with every state on the way allowed.
+            The controls that were applied; the number of steps until the goal region was entered or the
+            regulator gave up; and whether the goal region was entered with every state on the way allowed.
         """
         count = len(starts)
         ids = np.arange(count, dtype=np.int32)

@@ -28,27 +28,27 @@ class SST:
     max_rounds: int = 240
     """Rounds before giving up."""
     seconds: float = 0.0
-    """If positive, search for this long instead and keep improving; no longer reproducible."""
+    """If positive, search and improve for this many seconds instead of counting rounds; not reproducible."""
     min_edge_steps: int = 1
-    """An edge holds its control for at least this many physics steps ..."""
+    """Smallest number of physics steps for which an edge holds its control."""
     max_edge_steps: int = 10
-    """... and at most this many."""
+    """Largest number of physics steps for which an edge holds its control."""
     goal_bias: float = 0.1
     """Fraction of extensions that aim at the goal."""
     bang_bang: float = 0.3
     """Fraction of controls drawn at the ends of their range instead of inside it."""
     selection_radius: float = 0.3
-    """Best-near selection: the cheapest node within this feature distance is chosen."""
+    """Best-near selection chooses the cheapest node within this feature distance."""
     witness_size: float = 0.08
     """Side of a witness cell, in features."""
     shrink: float = 0.8
-    """The two radii are multiplied by this factor ..."""
+    """Factor by which selection radius and witness cells shrink."""
     shrink_every: int = 60
-    """... after this many rounds."""
+    """Number of rounds between two shrinks."""
     tail_every: int = 4
-    """Rounds between two attempts of the regulator to reach the goal ..."""
+    """Number of rounds between two attempts of the regulator to reach the goal."""
     tail_candidates: int = 32
-    """... from this many of the most promising new nodes."""
+    """Number of new nodes, the most promising ones, from which the regulator tries."""
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -1,13 +1,17 @@
-"""SST*, batched: stable sparse trees (Li, Littlefield and Bekris 2016) with many extensions a round.
+"""SST*: stable sparse trees (Li, Littlefield and Bekris 2016), with many extensions per round.
 
-Per round: draw random states; for each, choose the cheapest node near it (or the nearest); extend all the
-chosen nodes at once by random controls; keep of the new nodes those that are the cheapest in their witness
-cell. From the new nodes most promising for the goal, the regulator tries to finish. Every `shrink_every`
-rounds both radii shrink and the tree, with all its nodes, is sorted into the smaller cells: the star.
+One round:
 
-Kept as in the original: best-near selection and one representative a witness region, which keep the tree
-sparse and its paths short. Different: witness regions are the cells of a grid over the features, found
-by hashing, where the original searches for the nearest witness; many extensions share one round.
+1. Draw random states. For each, choose the cheapest node near it, or the nearest node.
+2. Extend all chosen nodes at once with random controls.
+3. Keep the new nodes that are the cheapest in their witness cell.
+4. Every `tail_every` rounds, let the regulator try to reach the goal from the most promising new nodes.
+5. Every `shrink_every` rounds, shrink the selection radius and the witness cells, and sort all nodes into the
+   smaller cells (the star in SST*).
+
+As in the original, best-near selection and one representative per witness region keep the tree sparse and its
+paths short. Two things differ: witness regions are the cells of a grid over the features, found by hashing,
+while the original searches for the nearest witness; and many extensions share one round.
 """
 
 import time
@@ -60,8 +64,8 @@ class SSTSearch:
         """Search until a solution has been found and `min_rounds` have passed.
 
         Returns:
-            The cheapest solution found; without one, the path to the node from which the goal looked
-            cheapest to reach.
+            The cheapest solution found. If there is no solution, the path to the node from which the goal
+            looked cheapest to reach.
         """
         c, began = self.config, time.monotonic()
         tree = Tree(self.start, self.problem, self.simulator, c.witness_size)
@@ -119,16 +123,16 @@ def _large_enough(simulator: Simulator, config: SST) -> Simulator:
 
 
 class _Finish:
-    """The best way to the goal so far: a node, and what the regulator does from there."""
+    """The best path to the goal so far: a node, and the regulator's controls from there."""
 
     def __init__(self, query: SSTSearch, tree: Tree):
         self.query, self.tree = query, tree
         self.arrived, self.cost, self.simulated_steps = False, np.inf, 0
-        self._promise = np.inf  # of the node to fall back on: the regulator's own estimate
+        self._promise = np.inf  # the regulator's cost estimate at the node to fall back on
         self._node, self._tail = 0, np.empty((0, len(query.simulator.control_low)))
 
     def consider(self, new: np.ndarray) -> None:
-        """Runs the regulator from the most promising of the new nodes."""
+        """Run the regulator from the most promising of the new nodes."""
         query, tree = self.query, self.tree
         if self.arrived:
             new = new[tree.costs[new] < self.cost]
@@ -149,5 +153,5 @@ class _Finish:
                 self._node, self._tail = int(new[order[i]]), tail
 
     def controls(self) -> np.ndarray:
-        """The path to the node, one control a step, and the regulator's end."""
+        """The controls along the path to the node and then of the regulator, one per physics step."""
         return np.concatenate([self.tree.path(self._node), self._tail])

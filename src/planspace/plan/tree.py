@@ -8,10 +8,11 @@ from planspace.physics.simulator import Simulator
 from planspace.tasks.problem import Problem
 
 NEIGHBOURS = 8
-"""Best-near selection looks at this many neighbours."""
+"""Number of neighbours from which best-near selection chooses."""
 NEIGHBOUR_SLACK = 2.0
-"""A neighbour found is at most 1 + this times as far as the true one. With 2, the nearest is 1 % too far on
-average, and in 14 dimensions the search takes 4 ms in place of 100 (512 targets among 23,000 nodes)."""
+"""Approximate search: a neighbour is at most 1 + this times as far away as the true one. With 2, the nearest
+is 1 % too far on average, and in 14 dimensions the search takes 4 ms instead of 100 ms (512 targets among
+23,000 nodes)."""
 
 
 class Tree:
@@ -20,12 +21,12 @@ class Tree:
     def __init__(
         self, root: Float[np.ndarray, " state"], problem: Problem, simulator: Simulator, cell_size: float
     ):
-        """Begins a tree.
+        """Start a tree.
 
         Args:
-            root: the state it grows from.
-            problem: gives the cost and the weights of the features.
-            simulator: gives the space and the number of threads.
+            root: the state that the tree grows from.
+            problem: provides the cost and the weights of the features.
+            simulator: provides the state space and the number of threads.
             cell_size: side of a witness cell, in features.
         """
         self.problem, self.simulator, self.cell_size = problem, simulator, cell_size
@@ -54,7 +55,7 @@ class Tree:
     def add(
         self, parents: np.ndarray, controls: np.ndarray, durations: np.ndarray, states: np.ndarray
     ) -> np.ndarray:
-        """Adds the nodes that are the cheapest in their witness cell; returns their numbers."""
+        """Add the nodes that are the cheapest in their witness cell; return their numbers."""
         costs = self.costs[parents] + durations * self.problem.step_cost(self.simulator, controls)
         features = self.space.features(states, self.weights)
         keys = self._keys(features)
@@ -75,12 +76,12 @@ class Tree:
         return first + np.arange(len(kept))
 
     def shrink(self, factor: float) -> None:
-        """Makes the witness cells smaller and chooses a representative for each anew, among all nodes."""
+        """Shrink the witness cells and choose the representative of each again, among all nodes."""
         self.cell_size *= factor
         self._sort_into_cells()
 
     def path(self, node: int) -> Float[np.ndarray, "step control"]:
-        """The controls from the root to a node, one a physics step."""
+        """The controls from the root to a node, one per physics step."""
         chain = []
         while node > 0:
             chain.append(node)
@@ -95,7 +96,7 @@ class Tree:
         self._enter(0, self._keys(self.features))
 
     def _enter(self, first: int, keys: list[int]) -> None:
-        """Puts the nodes from `first` on into their cells; in each the cheapest represents it."""
+        """Put the nodes from `first` on into their cells. The cheapest node in a cell represents it."""
         new_cells = []
         for key in keys:
             if key not in self._cells:
@@ -109,18 +110,18 @@ class Tree:
                 self._winner[cell] = node
 
     def _keys(self, features: np.ndarray) -> list[int]:
-        """A 64-bit hash of each witness cell; two cells share one with a chance of 2^-64."""
+        """A 64-bit hash of each witness cell. The probability that two cells share a hash is 2^-64."""
         rows = np.floor(features / self.cell_size).astype(np.int64)
         with np.errstate(over="ignore"):
-            mixed = rows * self._hash  # wraps round, as a hash may
+            mixed = rows * self._hash  # integer overflow is intended
             mixed ^= mixed >> 29
             return (mixed * self._hash[::-1]).sum(axis=1).tolist()
 
     def _neighbours(self, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The nearest nodes by feature distance, nearest first.
 
-        An index over the older nodes is rebuilt whenever the tree has grown by a half, and a small one over
-        the rest is built each round: a round costs about as much late as early.
+        The index of the older nodes is rebuilt when the tree has grown by half; a small index of the other
+        nodes is built each round. So late rounds cost about as much as early ones.
         """
         size = len(self.features)
         if self._old is None or size > 1.5 * self._indexed:
@@ -133,7 +134,7 @@ class Tree:
 
     def _ask(self, index: cKDTree, targets: np.ndarray, offset: int) -> tuple[np.ndarray, np.ndarray]:
         k = min(NEIGHBOURS, index.n)
-        threads = self.simulator.threads or -1  # as many as the physics
+        threads = self.simulator.threads or -1  # 0 means all CPUs, which SciPy calls -1
         distances, nodes = index.query(targets, k=k, eps=NEIGHBOUR_SLACK, workers=threads)
         shape = (len(targets), k)
         return distances.reshape(shape), nodes.reshape(shape) + offset
@@ -142,7 +143,7 @@ class Tree:
 def _nearest(
     distances: np.ndarray, nodes: np.ndarray, more_distances: np.ndarray, more_nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest of two lists of neighbours, in order."""
+    """Merge two lists of neighbours into the nearest ones, in order."""
     distances = np.concatenate([distances, more_distances], axis=1)
     nodes = np.concatenate([nodes, more_nodes], axis=1)
     order = np.argsort(distances, axis=1, kind="stable")[:, :NEIGHBOURS]

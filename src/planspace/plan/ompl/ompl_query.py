@@ -1,4 +1,9 @@
-"""One query in OMPL's terms: its spaces, states, propagation, goal and objective."""
+"""A query in OMPL's terms: spaces, states, propagation, goal and objective.
+
+Angles are wrapped after every propagation, because OMPL's distances on a circle assume it and become negative
+otherwise. States carry the time at which they were reached, so that SST minimises the duration; by default it
+minimises the length of the path in state space.
+"""
 
 import itertools
 from typing import Any
@@ -17,11 +22,11 @@ from planspace.tasks.problem import Goal, Problem
 
 PROJECTION_DIMENSIONS = 3
 PROJECTION_CELLS = 20
-"""Cells a dimension in the projection that KPIECE1, EST and PDST explore by."""
+"""Cells per dimension of the projection that guides KPIECE1, EST and PDST."""
 
 
 class OMPLQuery:
-    """One query in OMPL's terms."""
+    """A query in OMPL's terms."""
 
     def __init__(self, problem: Problem, simulator: Simulator, goal: Goal, planner: OMPL):
         from ompl import base, util
@@ -49,7 +54,7 @@ class OMPLQuery:
     # --- states -----------------------------------------------------------------------------------------
 
     def _state_space(self) -> Any:
-        """One subspace a part, weighted as neighbours are in ours, and the time at the end."""
+        """One subspace per part of the state, weighted as in our neighbour search; then the time."""
         base, weights = self.base, self.problem.weights(self.space)
         space = base.CompoundStateSpace()
         speed = self.problem.speed(self.space)
@@ -76,7 +81,7 @@ class OMPLQuery:
         return space
 
     def read(self, state: Any) -> np.ndarray:
-        """A state of OMPL as ours."""
+        """Convert a state of OMPL to ours."""
         x = np.empty(self.space.size)
         for part, (s, _, kind) in enumerate(self.parts):
             value = state[part]
@@ -89,7 +94,7 @@ class OMPLQuery:
         return x
 
     def write(self, x: np.ndarray, clock: float, state: Any) -> None:
-        """Our state into one of OMPL's, angles wrapped."""
+        """Write our state into one of OMPL's; angles are wrapped."""
         for part, (s, _, kind) in enumerate(self.parts):
             value = state[part]
             if kind == "circle":
@@ -107,12 +112,12 @@ class OMPLQuery:
     def valid(self, state: Any) -> bool:
         """OMPL's validity checker."""
         x = self.read(state)
-        if self.simulator.validity == FREE:  # the bounds alone, without a simulation
+        if self.simulator.validity == FREE:  # only the bounds matter, which needs no simulation
             return bool(self.space.in_bounds(x))
         return bool(self.simulator.valid_states(x[None])[0])
 
     def distance(self, state: Any) -> float:
-        """How far a state is from the goal."""
+        """Distance of a state to the goal; the smallest is kept in `nearest`."""
         distance = float(self.goal.distance(self.read(state)))
         self.nearest = min(self.nearest, distance)
         return distance
@@ -198,9 +203,9 @@ class OMPLQuery:
 
 
 def _goal_region(query: OMPLQuery, information: Any) -> Any:
-    """Our goal as a region OMPL can sample."""
+    """Our goal as a region that OMPL can sample."""
 
-    class Region(query.base.GoalSampleableRegion):  # made here: the base class exists only with OMPL
+    class Region(query.base.GoalSampleableRegion):  # defined here, because the base class needs OMPL
         def __init__(self) -> None:
             super().__init__(information)
             self.setThreshold(query.goal.tolerance)
@@ -218,7 +223,7 @@ def _goal_region(query: OMPLQuery, information: Any) -> Any:
 
 
 def _duration(query: OMPLQuery, information: Any) -> Any:
-    """The objective: the time between two states, for a straight motion what the velocity bounds allow."""
+    """The objective: the time between two states, or of a straight motion at the velocity bounds."""
 
     class Duration(query.base.OptimizationObjective):
         def motionCost(self, before: Any, after: Any) -> Any:
@@ -234,7 +239,7 @@ def _duration(query: OMPLQuery, information: Any) -> Any:
 
 
 def _projection(query: OMPLQuery, space: Any) -> Any:
-    """The first few positions."""
+    """The projection on the first few positions."""
     from ompl import util
 
     columns = [s for s, _, kind in query.parts if kind != "rotation"][:PROJECTION_DIMENSIONS]
@@ -262,7 +267,7 @@ def _projection(query: OMPLQuery, space: Any) -> Any:
 
 
 def _velocities(space: StateSpace, corners: list[np.ndarray], dt: float) -> np.ndarray:
-    """The velocities that lead along a path from corner to corner, as fast as the bounds allow."""
+    """Velocities that follow a path from corner to corner, as fast as the bounds allow."""
     controls = []
     for a, b in itertools.pairwise(corners):
         way = space.difference(b, a)

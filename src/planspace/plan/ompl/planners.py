@@ -33,7 +33,7 @@ class OMPL:
     seconds: float = 20.0
     """Time for each search [s]. Planners that improve their plans use all of it."""
     iterations: int = 0
-    """If positive, stop after this many iterations instead: reproducible if the planner is."""
+    """If positive, stop after this many iterations instead, which is reproducible if the planner is."""
     goal_bias: float = 0.1
     """Fraction of samples at the goal, for planners that have this setting."""
     selection_radius: float = 0.3
@@ -41,9 +41,9 @@ class OMPL:
     pruning_radius: float = 0.08
     """SST's pruning radius (2020: 0.0005)."""
     min_edge_steps: int = 1
-    """An edge holds its control for at least this many physics steps ..."""
+    """Smallest number of physics steps for which an edge holds its control."""
     max_edge_steps: int = 10
-    """... and at most this many."""
+    """Largest number of physics steps for which an edge holds its control."""
 
     @property
     def name(self) -> str:
