@@ -1,10 +1,12 @@
-"""The shortest durations that plans are measured against, and that embeddings may be.
+"""Shortest durations, with which plans and embeddings are compared.
 
-    python benchmarks/ground_truth.py     builds benchmarks/ground_truth/*.npz: about 5 minutes on two cores
+    python benchmarks/ground_truth.py     writes benchmarks/ground_truth/*.npz; about 5 minutes on two cores
 
 - Pendulum: the time to the goal region from every state of a grid, by value iteration.
-- Reacher: each joint is a damped double integrator to a thousandth, so the time to its goal is analytic.
-- Cart-pole: no formula; the shortest of 20 polished plans from each of 60 starts, called best known.
+- Reacher: each joint is a damped double integrator to within 0.1 %, so the time to its goal is known in
+  closed form.
+- Cart-pole: no formula exists. The best known duration is the shortest of 20 polished plans from each of
+  60 starts.
 """
 
 import io
@@ -26,7 +28,7 @@ FOLDER = Path(__file__).parent / "ground_truth"
 
 PENDULUM_INERTIA, PENDULUM_GRAVITY, PENDULUM_DAMPING, PENDULUM_TORQUE = 1 / 3, 9.81 * 0.5, 0.05, 2.0
 PENDULUM_SPEED = 9.0
-"""The grid ends at this angular velocity [rad/s]; from hanging, no plan comes near it."""
+"""The grid ends at this angular velocity [rad/s], which no plan from hanging comes near."""
 TOLERANCE = 0.1
 
 REACHER_INERTIA, REACHER_DAMPING, REACHER_TORQUE = 1.0 + 7e-4, 1.0, 200.0
@@ -63,7 +65,7 @@ def pendulum_grid(angles: int = 801, speeds: int = 901, dt: float = 0.02) -> tup
 
 
 def pendulum_time(states: Float[np.ndarray, "start state"]) -> Float[np.ndarray, " start"]:
-    """The time to go [s] from each state (theta, thetadot)."""
+    """Time to the goal [s] from each state (theta, thetadot)."""
     with np.load(FOLDER / "pendulum.npz") as grid:
         interpolate = RegularGridInterpolator((grid["theta"], grid["omega"]), grid["time"].astype(float))
     wrapped = np.pi - np.mod(np.pi - states[:, 0], 2 * np.pi)
@@ -71,12 +73,12 @@ def pendulum_time(states: Float[np.ndarray, "start state"]) -> Float[np.ndarray,
 
 
 def reacher_time(start: Float[np.ndarray, " state"], goal: Float[np.ndarray, " state"]) -> float:
-    """The time [s] from a state to rest at two angles exactly: that of the slower joint."""
+    """Time [s] from a state to rest at exactly two angles: the time of the slower joint."""
     return max(double_integrator_time(goal[i] - start[i], start[2 + i]) for i in range(2))
 
 
 def double_integrator_time(distance: float, speed: float) -> float:
-    """The shortest time to move by a distance and to rest: full torque, then full torque back.
+    """Shortest time to move by a distance and come to rest: full torque one way, then the other.
 
     With rate c = damping / inertia and push p = torque / inertia, the velocity tends to +-p / c as exp(-c t).
     """
@@ -98,13 +100,13 @@ def double_integrator_time(distance: float, speed: float) -> float:
 
 
 def build_pendulum() -> None:
-    """Every second point of the grid: the plans measured against it need no more."""
+    """Every second point of the grid, which is enough for the plans that are compared with it."""
     theta, omega, value = pendulum_grid()
     _save("pendulum.npz", theta=theta[::2], omega=omega[::2], time=value[::2, ::2].astype(np.float32))
 
 
 def build_cartpole() -> None:
-    """Starts, and the shortest duration known from each."""
+    """Starts, and the best known duration from each."""
     problem = load_problem("cartpole-swingup")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "demos"
@@ -116,7 +118,7 @@ def build_cartpole() -> None:
 
 
 def build_truth() -> None:
-    """For `planspace measure --truth`: starts of each problem, and the least time from each to its goal.
+    """For `planspace measure --truth`: starts of each problem, and the shortest time from each to its goal.
 
     The cart-pole's are the starts of `build_cartpole`, of seed 0; an embedding of demonstrations planned with
     that seed was trained on most of them.
@@ -162,7 +164,7 @@ def _pendulum_step(x: np.ndarray, v: np.ndarray, torque: float, dt: float) -> tu
 
 
 def _cells(a: np.ndarray, b: np.ndarray, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Corner numbers and shares for linear interpolation; the angle wraps, the speed is cut off."""
+    """Corner numbers and weights for linear interpolation; the angle wraps, the speed is clipped."""
     columns = len(omega)
     i = np.mod(a + np.pi, 2 * np.pi) / (theta[1] - theta[0])
     j = np.clip((b - omega[0]) / (omega[1] - omega[0]), 0, columns - 1.000001)

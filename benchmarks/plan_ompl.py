@@ -1,13 +1,13 @@
-"""Our planner and OMPL's, side by side: same problems, starts, tolerance, cores and seconds a plan.
+"""Compare our planner with OMPL's: same problems, starts, tolerance, cores and seconds per plan.
 
     python benchmarks/plan_ompl.py [--seconds S] [--starts N] [PROBLEM ...]          (extra `ompl`)
 
-Every planner gets the same N starts, one process a core, at most S seconds for each. Our SST* runs twice: as
-`planspace plan` uses it (it stops by itself, having polished two plans), and alone, without polish, for the
-whole S seconds, as OMPL's SST does. OMPL's planners keep what they find, as it is. A plan counts as solved if
-its controls, replayed in plain MuJoCo from the start, lead into the goal region; that the goal can be held is
-not asked of anyone here. OMPL propagates through Python callbacks, a step of which costs about 30
-microseconds; that is how a user of its Python bindings meets it.
+Every planner gets the same N starts, with one process per core and at most S seconds per plan. Our SST*
+runs twice: as `planspace plan` uses it (it stops by itself after two polished plans), and alone, without
+polish, for all of the S seconds, as OMPL's SST does. OMPL's plans are not polished. A plan counts as solved
+if its controls, replayed in plain MuJoCo from the start, lead into the goal region; the goal need not be
+held. OMPL propagates through Python callbacks, at about 30 microseconds per step, as for any user of its
+Python bindings.
 """
 
 import argparse

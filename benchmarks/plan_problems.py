@@ -1,10 +1,10 @@
-"""How surely, how fast and how well every shipped problem is planned.
+"""Success rate, time and quality of planning, for every shipped problem.
 
     python benchmarks/plan_problems.py [--num N] [PROBLEM ...]
 
-Plans N demonstrations (20 by default) of each problem as `planspace plan` does, on all cores, then reads the
-dataset back: the share of plans found at their first attempt and at all, the largest distance to the goal at
-the end (weighted L1, angles on the circle), the largest replay error in plain MuJoCo, and the time.
+Plans N demonstrations (20 by default) of each problem as `planspace plan` does, on all cores, and then
+reads the dataset: the fraction of plans found at the first attempt and in all, the largest distance to the
+goal at the end (weighted L1, angles on the circle), the largest replay error in plain MuJoCo, and the time.
 """
 
 import argparse

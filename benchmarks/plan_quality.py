@@ -1,12 +1,12 @@
-"""How near the shortest the plans are, on the problems of which the shortest is known.
+"""Durations of plans, relative to the shortest, on problems whose shortest duration is known.
 
     python benchmarks/ground_truth.py
     python benchmarks/plan_quality.py [--num N] [--restarts N] [--no-polish]
 
-Plans N demonstrations (60 by default) as `planspace plan` does and divides each duration by the one of
-`ground_truth.py`. The reacher's is the time to rest at the goal exactly; a demo ends as soon as it is within
-the tolerance of 0.1, so its ratio may lie below 1, and so may the pendulum's by the error of its grid (half a
-per cent from one resolution to the next).
+Plans N demonstrations (60 by default) as `planspace plan` does and divides each duration by the one from
+`ground_truth.py`. For the reacher that is the time to rest exactly at the goal; a demonstration ends as
+soon as it is within the tolerance of 0.1, so its ratio can be below 1. The pendulum's ratio can be below 1
+by the error of its grid (0.5 % from one resolution to the next).
 """
 
 import argparse
@@ -24,7 +24,7 @@ from planspace.tasks.problem_file import load_problem
 
 
 def shortest(name: str, demos: Demos) -> np.ndarray:
-    """The shortest duration known from each demonstration's start."""
+    """Shortest known duration from each demonstration's start."""
     starts = demos.states[demos.offsets[:-1]]
     if name == "pendulum":
         return pendulum_time(starts)

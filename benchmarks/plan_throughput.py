@@ -1,9 +1,10 @@
-"""Simulated steps a second inside SST*, against bare `mujoco.batch` stepping of as many simulations.
+"""Simulated steps per second inside SST*, compared with bare `mujoco.batch` stepping.
 
     python benchmarks/plan_throughput.py [REPEATS [ROUNDS]]
 
-Both are timed in turn in one process, on all cores; the ratio is taken pair by pair. SST* searches for 60
-rounds (or ROUNDS) with all it does: selection, pruning, extension, and the regulator's tries to finish.
+Both step the same number of simulations and are timed in turn in one process, on all cores; the ratio is
+computed pair by pair. SST* searches for 60 rounds (or ROUNDS) with everything that it does: selection,
+pruning, extension, and the regulator.
 """
 
 import sys
@@ -26,7 +27,7 @@ ROUNDS = int(sys.argv[2]) if len(sys.argv) > 2 else 60
 
 
 def search_rate(problem: Problem, seed: int) -> tuple[float, int]:
-    """Steps a second, and the size of the tree at the end."""
+    """Steps per second, and the size of the tree at the end."""
     model, space = problem.compile()
     config = SST(min_rounds=ROUNDS, max_rounds=ROUNDS)
     simulator = Simulator(model, space, config.extensions, validity=problem.validity)
@@ -39,7 +40,7 @@ def search_rate(problem: Problem, seed: int) -> tuple[float, int]:
 
 
 def bare_rate(problem: Problem, seed: int) -> float:
-    """Steps a second of as many simulations under random controls, one step a call."""
+    """Steps per second of the same number of simulations under random controls, one step per call."""
     model, _ = problem.compile()
     count, steps = SST().extensions, 300
     batch = Batch(model, count, 0)

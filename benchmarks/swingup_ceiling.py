@@ -1,11 +1,11 @@
-"""The return of the best controller known on the swing-up, from the starts that evaluations have.
+"""Return of the best known controller on the swing-up, from the starts of evaluations.
 
     python benchmarks/swingup_ceiling.py [RUN ...]
 
 From each of the 20 starts: a planned swing-up (SST, polished, the goal then held by the regulator; its
 control changes at every physics step, which a policy's cannot), and every policy of the runs given (folders
-of `planspace train`, or `DIR/work/policies-*` of a study). Prints the mean return of the planner, of the best
-policy, and of the best of all at each start: the ceiling.
+of `planspace train`, or `DIR/work/policies-*` of a study). Prints the mean return of the planner, of the
+best policy, and of the best of all at each start: the ceiling.
 """
 
 import argparse
@@ -33,7 +33,7 @@ STARTS, TARGETS = TASK.sample_starts(num_episodes(TASK, BATCH_STEPS), np.random.
 
 
 def planned() -> np.ndarray:
-    """The return of a planned swing-up from each start."""
+    """Return of a planned swing-up from each start."""
     problem = load_problem(TASK.problem)
     config = PlanConfig.for_problem(problem, restarts=4)
     planner, returns = Pipeline(problem, config), []
@@ -51,7 +51,7 @@ def planned() -> np.ndarray:
 
 
 def followed(planner: Pipeline, regulator: Regulator, start: np.ndarray, controls: np.ndarray) -> float:
-    """Runs a plan, then the regulator, for as long as an episode; what the task pays for it."""
+    """Return of a plan, followed by the regulator until the episode ends."""
     data, state, total = mujoco.MjData(planner.model), start, 0.0
     planner.space.write(start, data.qpos, data.qvel)
     for step in range(TASK.horizon):
@@ -66,7 +66,7 @@ def followed(planner: Pipeline, regulator: Regulator, start: np.ndarray, control
 
 
 def played(policy: Policy) -> np.ndarray:
-    """The return of a policy from each start, every action its mean."""
+    """Return of a policy from each start; each action is the mean."""
     batch, about = TaskBatch(TASK, len(STARTS)), policy.about
     embedding = load_embedding(policy.embedding) if about["embeddings"] else None
     batch.reset(STARTS, TARGETS)
