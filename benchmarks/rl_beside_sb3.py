@@ -1,4 +1,4 @@
-"""Learning curves of ten seeds beside those of Stable-Baselines3 and sb3-contrib, as an illustration.
+"""Learning curves of ten seeds, compared with Stable-Baselines3 and sb3-contrib as an illustration.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_beside_sb3.py
 

@@ -1,4 +1,4 @@
-"""The levels that TRPO and PPO reach: 15 seeds an arm, seeds 0 to 14, none dropped, beside the check figures.
+"""Returns of TRPO and PPO, 15 seeds an arm (0 to 14, all reported), next to the check figures.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_levels.py [ARM ...] [--out DIR]
 
@@ -26,7 +26,7 @@ RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15
 STUDY, FILE = "levels", RESULTS / "levels.csv"
 POINTS = 12
-"""About how many points of a learning curve are kept; each is a mean of ten iterations."""
+"""Approximate number of points kept of a learning curve; each is a mean of ten iterations."""
 EVERY = {"algo": "trpo", "preset": "paper", "seeds": NUM_SEEDS}
 SWING_UP = {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000}
 BALANCE = {"task": "cartpole", "obs": "raw", "steps": 400_000}
@@ -55,8 +55,8 @@ CHECKS = {
     "reacher-trig-trpo": (-10.6, -14.2, -7.9, None),
     "reacher-raw-trpo": (-12.7, -15.6, -10.2, None),
 }
-"""Of an independent quick study with nearly this preset: mean of the last iteration, worst, best, and the
-standard error of the mean (25 to 39 on the swing-up; where it is not known, ours is taken for it)."""
+"""Results of an independent quick study with nearly this preset: mean of the last iteration, worst, best, and
+standard error of the mean (25 to 39 on the swing-up; None uses our own)."""
 
 
 def command(name: str) -> list[str]:

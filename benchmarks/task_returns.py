@@ -1,9 +1,9 @@
-"""What policies earn that have learned nothing, in every task: the scale on which to read a return.
+"""Returns of untrained policies in every task, as a reference for other returns.
 
     python benchmarks/task_returns.py [--episodes 1000]
 
-Idle does nothing, noise is a unit Gaussian (clipped to the controls' range), random is uniform in that range.
-An episode is as long as the task's horizon, or until the task ends it.
+Idle applies no control, noise a unit Gaussian (clipped to the controls' range), random a uniform control in
+that range. An episode lasts for the task's horizon, or until the task terminates it.
 """
 
 import argparse

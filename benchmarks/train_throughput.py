@@ -1,16 +1,16 @@
-"""How fast all seeds train in one program, against bare physics and against a library with a process a seed.
+"""Training speed of all seeds in one program, compared with bare physics and with one library process a seed.
 
     python benchmarks/train_throughput.py [--repeats N] [--seeds N] [--growth] [--memory]
 
-For each algorithm and preset, in turn in one run: training of all seeds, learning included; bare
-`mujoco.batch` physics of the same environments, given the controls that training gave them, as fast as it
-goes; and two processes of sb3-contrib's TRPO or Stable-Baselines3's PPO, one seed each, with the settings the
-libraries share: with one environment, as their documentation begins, and with an iteration's 20 episodes side
-by side, which spares them most calls of the policy. Ratios are taken turn by turn. Compilation is left out by
-a first run of the same shapes.
+For each algorithm and preset, one run measures in turn: training of all seeds, updates included; bare
+`mujoco.batch` physics of the same environments with the controls of training; and two processes of
+sb3-contrib's TRPO or Stable-Baselines3's PPO, one seed each, with the settings that the libraries share. The
+libraries run once with one environment, as in their documentation, and once with the 20 episodes of an
+iteration in parallel, which needs fewer calls of the policy. Each ratio compares measurements of the same
+turn. A first run with the same shapes excludes compilation.
 
---growth   seeds from 1 to 60, TRPO of the paper and modern PPO, and what a second is spent on
---memory   the most memory that training 60 seeds takes, in five iterations
+--growth   1 to 60 seeds, TRPO (paper) and PPO (modern), with the fractions of time spent on each part
+--memory   the peak memory of training 60 seeds for five iterations
 """
 
 import argparse
@@ -39,7 +39,7 @@ from planspace.workers import count_cores
 
 TASK = TASKS["cartpole-swingup"]
 ITERATIONS = 25
-"""As many as lie between two evaluations, of which one is therefore counted."""
+"""The iterations between two evaluations, so that the time of one evaluation is included."""
 ARMS: list[tuple[str, str]] = [("trpo", "paper"), ("ppo", "paper"), ("ppo", "modern")]
 SEEDS = (1, 5, 15, 30, 60)
 LIBRARY_STEPS = 20_000
@@ -78,7 +78,7 @@ def timed_training(config: TrainConfig) -> tuple[float, Counter]:
 
 
 class Replay:
-    """The controls of a training iteration, to be stepped with nothing around it."""
+    """The controls of a training iteration, to measure the physics without anything else."""
 
     def __init__(self, config: TrainConfig):
         taken: list[Any] = []
@@ -169,10 +169,10 @@ def compare(num_seeds: int, repeats: int) -> None:
 
 
 def growth() -> None:
-    """What a second goes to.
+    """Print the fraction of time spent on each part.
 
-    Physics; what else acting takes; the seeds' updates if they kept all cores busy (their time summed, over
-    the cores); and the rest: waiting for the last of them, advantages, copies, files.
+    The parts are physics; the rest of acting; the updates of the seeds, as their summed time divided by the
+    number of cores; and everything else: waiting for the last update, copies and files.
     """
     print(f"{'':<16}{'seeds':>6}{'steps/s':>12}{'physics':>10}{'policy':>10}{'update':>10}{'the rest':>10}")
     for algo, preset in (ARMS[0], ARMS[-1]):

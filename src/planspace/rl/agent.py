@@ -2,7 +2,7 @@
 
 Everything here is written for one seed. Training updates the seeds in parallel threads: measured on two cores
 that takes 0.5 to 0.7 of the time of one program with an axis of seeds, and the result of a seed does not
-depend, bit for bit, on how many seeds train beside it.
+depend, bit for bit, on the number of seeds.
 """
 
 import itertools

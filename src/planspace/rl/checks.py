@@ -17,7 +17,7 @@ def checked_state(state: Any) -> Any:
     """The result of `Algorithm.init`.
 
     Raises:
-        UsageError: a number is not finite, or is no array, so that a checkpoint would not hold it.
+        UsageError: a number is not finite, or is not an array; checkpoints save arrays only.
     """
     for path, leaf in jax.tree.leaves_with_path(state):
         where = jax.tree_util.keystr(path)
@@ -36,7 +36,7 @@ def checked_rollout(rollout: Any, arm: Arm) -> Rollout:
     """The result of `Algorithm.collect`.
 
     Raises:
-        UsageError: it is no rollout of all seeds.
+        UsageError: it is not a rollout of all seeds.
     """
     if not isinstance(rollout, Rollout):
         raise _misfit("collect", "a Rollout, as `arm.rollout` does", f"{quoted(rollout)}")
@@ -50,7 +50,7 @@ def checked_update(result: Any, before: Any) -> tuple[Any, dict[str, float]]:
     """The result of `Algorithm.update`.
 
     Raises:
-        UsageError: it is no pair of a state like the one before and numbers by name.
+        UsageError: it is not a pair of a state with the structure of the one before and numbers by name.
     """
     if not isinstance(result, tuple) or len(result) != 2 or not isinstance(result[1], Mapping):
         raise _misfit("update", "a state and a mapping of numbers by name", quoted(result))
@@ -74,7 +74,7 @@ def checked_network(network: Any, arm: Arm) -> PolicyNetwork:
     """The result of `Algorithm.act`.
 
     Raises:
-        UsageError: it is no network from observations to actions.
+        UsageError: it is not a network from observations to actions.
     """
     if not isinstance(network, PolicyNetwork):
         raise _misfit("act", "a PolicyNetwork", quoted(network))

@@ -71,7 +71,7 @@ class TrainConfig:
             if getattr(self, name) not in get_args(known):
                 raise unknown(name, getattr(self, name), get_args(known))
         if self.z == "none" and self.z_to != "both":
-            raise UsageError(f"z_to is {self.z_to!r}, but there is no z: give --z augment or --z replace.")
+            raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
         if not 0 < self.shaping_scale < math.inf:
             raise UsageError(f"shaping_scale must be above 0, got {self.shaping_scale}.")
         if self.seed < 0:

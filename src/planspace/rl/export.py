@@ -31,7 +31,7 @@ def export_policies(
         out: the run's folder.
         arm: what was trained on.
         networks: one a seed.
-        embeddings: what makes z; seed `s` takes number `s` modulo their count.
+        embeddings: the embeddings that make z; seed `s` takes number `s` modulo their count.
         returns: the return of each seed in the last evaluation.
     """
     config, observer = arm.config, arm.observer

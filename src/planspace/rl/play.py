@@ -40,7 +40,10 @@ def _task_of(policy: Policy, task: Task | None) -> Task:
     if task is None and known is None:
         return find_task(name)
     if task is None:
-        raise UsageError(f"{policy.run} was trained on {name!r}, a task of your own: pass the task.")
+        raise UsageError(
+            f"{policy.run} was trained on {name!r}, a task of your own: pass the task (`--task "
+            "module.py:NAME`)."
+        )
     if task.name != name:
         raise UsageError(f"{policy.run} was trained on the task {name!r}, got {task.name!r}.")
     if known not in (None, task.hash):

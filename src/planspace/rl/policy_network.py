@@ -19,7 +19,7 @@ class PolicyNetwork:
     biases: Sequence[Float[np.ndarray, " _out"]]
     """Biases of each layer."""
     log_std: Float[np.ndarray, " action"] | None = None
-    """Logarithm of the standard deviation of the exploration noise in training; None if there is none."""
+    """Logarithm of the standard deviation of the exploration noise in training; None without noise."""
     layer_norm: bool = False
     """Whether hidden layers are normalised before the tanh."""
     statistics: ObsStatistics | None = None

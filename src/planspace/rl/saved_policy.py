@@ -78,7 +78,7 @@ class Policy:
     network: Stack
     """The mean action, for a seed axis of one."""
     std: Float[np.ndarray, " action"]
-    """Standard deviation of its exploration in training; 0 if it did not explore by noise."""
+    """Standard deviation of its exploration in training; 0 if it explored without noise."""
     columns: slice
     """The part of an observation that it reads."""
     statistics: ObsStatistics | None
@@ -131,7 +131,7 @@ def find_runs(folder: Path) -> dict[str, Path]:
     """Find the training runs in a folder: the folder itself, or the arms of a `planspace run`.
 
     Returns:
-        The folder of each run that holds policies, by the name of its arm; empty if there is none.
+        The folder of each run that holds policies, by the name of its arm; empty if no run has any.
     """
     if (folder / DESCRIPTION).exists():
         return {folder.name: folder}

@@ -93,15 +93,15 @@ def train_policies(
     """Train policies on a task, all seeds at once.
 
     The same call continues an interrupted run bit for bit, and loads a finished one. The result of a seed
-    does not depend on the seeds beside it.
+    does not depend on the other seeds.
 
     Args:
         task: a task, or the name of a shipped one.
         config: settings; by default 5 seeds of TRPO.
         algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
             replaces that of `config`.
-        embedding: what makes z, if `config` uses z: one, or several that the seeds take in turn (seed `s`
-            takes number `s` modulo their count).
+        embedding: the embedding that makes z, if `config` uses z; or several, of which seed `s` takes number
+            `s` modulo their count.
         out: the run's folder; without it, policies are kept in a temporary folder.
         track: where to show the learning curves, too: `tensorboard`, `wandb`.
         verbose: show the progress.
