@@ -28,7 +28,7 @@ def test_distances_are_zero_where_contacts_begin(clearance: Clearance, rng: np.r
     assert distances.max() == pytest.approx(REACH)
 
 
-def test_slopes_foretell_small_moves(clearance: Clearance, rng: np.random.Generator) -> None:
+def test_slopes_predict_small_moves(clearance: Clearance, rng: np.random.Generator) -> None:
     space = load_problem("arm-kinematic").compile()[1]
     states = space.sample(rng, 200, np.ones(7))
     before = clearance.distances(states)
@@ -37,13 +37,13 @@ def test_slopes_foretell_small_moves(clearance: Clearance, rng: np.random.Genera
     slopes = clearance.slopes(states, before)
     move = rng.normal(0, 1e-4, states.shape)
     change = clearance.distances(states + move) - before
-    foretold = np.einsum("spd,sd->sp", slopes, move)
+    predicted = np.einsum("spd,sd->sp", slopes, move)
     apart = (before > 0.01) & (before < 0.05)
     assert apart.sum() > 5
-    assert np.median(np.abs(change - foretold)[apart]) < 0.02 * np.abs(change[apart]).max()
+    assert np.median(np.abs(change - predicted)[apart]) < 0.02 * np.abs(change[apart]).max()
 
 
-def test_more_pairs_than_are_kept_apart_leave_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_pairs_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_PAIRS", 3)
     problem = load_problem("arm-kinematic")
     clearance = Clearance(problem, problem.compile()[1], threads=1)
@@ -52,7 +52,7 @@ def test_more_pairs_than_are_kept_apart_leave_none(monkeypatch: pytest.MonkeyPat
     assert clearance.slopes(states, clearance.distances(states)).shape == (1, 0, 7)
 
 
-def test_which_pairs_mujoco_would_let_collide() -> None:
+def test_pairs_that_can_collide() -> None:
     model = load_model("""<mujoco><worldbody>
       <geom name="floor" type="plane" size="1 1 1"/><geom name="wall" type="box" size="1 1 1"/>
       <body name="a"><joint type="slide"/><geom name="a1" size="0.1"/><geom name="a2" size="0.1"/>

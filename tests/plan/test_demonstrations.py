@@ -9,10 +9,12 @@ from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.errors import PartialResult, PlanspaceError, UsageError
 from planspace.plan.config import PlanConfig, PolishConfig
-from planspace.plan.demonstrations import plan_into
+from planspace.plan.demonstrations import plan_into, upgrade_settings
 from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import Failure
+from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
+from planspace.seams import plain_settings
 from planspace.tasks.problem import Box
 from planspace.tasks.problem_file import load_problem
 
@@ -53,7 +55,7 @@ def test_plans_do_not_depend_on_the_number_of_workers(demos: Demos, tmp_path: Pa
     assert load_demos(tmp_path).hash == demos.hash  # planned by one for each core
 
 
-def test_a_finished_dataset_is_left_alone_and_other_settings_are_refused(demo_folder: Path) -> None:
+def test_a_finished_dataset_stays_as_it_is_and_other_settings_are_refused(demo_folder: Path) -> None:
     problem = load_problem("cartpole-swingup")
     before = {p.name: p.read_bytes() for p in demo_folder.iterdir()}
     plan_into(problem, demo_folder, num=12, seed=0, config=QUICK_PLANNER)
@@ -83,7 +85,7 @@ def test_failed_plans_are_counted_and_the_others_kept(
         plan_into(problem, tmp_path, num=3, seed=0, config=QUICK_PLANNER, workers=0)
 
 
-def test_an_unreachable_goal_stops_at_its_budget_and_says_how_near_it_came(tmp_path: Path) -> None:
+def test_an_unreachable_goal_stops_at_its_budget_and_reports_the_nearest_distance(tmp_path: Path) -> None:
     problem = load_problem("cartpole-swingup")
     # at rest in the middle with the pole level: no control holds it there, and no tree finds it
     level = (0.0, np.pi / 2, 0.0, 0.0)
@@ -99,7 +101,7 @@ def test_an_unreachable_goal_stops_at_its_budget_and_says_how_near_it_came(tmp_p
         plan_into(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=0)
 
 
-def test_a_changed_setting_is_named_alone(tmp_path: Path) -> None:
+def test_only_the_changed_setting_is_named(tmp_path: Path) -> None:
     problem = load_problem("cartpole")
     plan_into(problem, tmp_path, num=1, seed=0, config=QUICK_PLANNER, workers=0)
     other = replace(QUICK_PLANNER, planner=SST(extensions=128))
@@ -107,8 +109,21 @@ def test_a_changed_setting_is_named_alone(tmp_path: Path) -> None:
         plan_into(problem, tmp_path, num=1, seed=0, config=other, workers=0)
 
 
-def test_a_predicate_needs_a_name_by_which_workers_find_it(tmp_path: Path) -> None:
+def test_a_predicate_without_a_name_is_refused(tmp_path: Path) -> None:
     problem = replace(load_problem("cartpole"), predicate=lambda x: np.ones(len(x), dtype=bool))
     with pytest.raises(UsageError, match="must be a function that its module has by name, not a lambda"):
         plan_into(problem, tmp_path / "demos", num=1, seed=0)
     assert not (tmp_path / "demos").exists()
+
+
+def test_settings_that_version_0_1_0_saved_are_read_as_todays() -> None:
+    """Its manifests recorded the settings of all planners, used or not."""
+    golden = Path(__file__).parents[1] / "golden" / "2026-11" / "demos" / "manifest.json"
+    saved = json.loads(golden.read_text())["settings"]
+    config = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=10))
+    assert upgrade_settings(saved)["config"] == plain_settings(config)  # pyright: ignore
+    ompl = saved | {"planner": "ompl-rrt", "config": saved["config"] | {"restarts": 2}}
+    config = replace(config, planner=PLANNERS["ompl-rrt"])
+    assert upgrade_settings(ompl)["config"] == plain_settings(config)  # pyright: ignore
+    for malformed in ({}, {"planner": {}, "config": {}}, {"planner": "sst", "config": {"sst": 1}}):
+        assert upgrade_settings(malformed) == malformed  # pyright: ignore

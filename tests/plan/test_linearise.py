@@ -13,9 +13,7 @@ def make(name: str, num: int = 16) -> Simulator:
 
 
 @pytest.mark.parametrize("name", ["cartpole-swingup", "ball-pendulum", "quadrotor", "arm-kinematic"])
-def test_small_changes_of_state_and_control_do_what_the_linear_model_says(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_the_linear_model_predicts_small_changes(name: str, rng: np.random.Generator) -> None:
     problem, simulator = load_problem(name), make(name)
     space, count = simulator.space, 10
     low, high = simulator.control_low, simulator.control_high
@@ -34,7 +32,7 @@ def test_small_changes_of_state_and_control_do_what_the_linear_model_says(
     assert np.abs(predicted).max() > 1e-4, problem.name
 
 
-def test_at_a_bound_the_control_is_nudged_inwards(rng: np.random.Generator) -> None:
+def test_at_a_bound_the_control_is_moved_inwards(rng: np.random.Generator) -> None:
     simulator = make("cartpole-swingup")
     states = rng.uniform(-0.1, 0.1, (3, 4))
     _, inner = linearise.along(simulator, states, np.full((3, 1), 2.9))

@@ -31,7 +31,7 @@ def with_slow(algorithms: tuple[str, ...], quick: str) -> list[Any]:
 @pytest.mark.ompl
 @needs_ompl
 @pytest.mark.parametrize("algorithm", with_slow(CONTROL_ALGORITHMS, "RRT"))
-def test_every_control_planner_finds_an_easy_way(algorithm: str) -> None:
+def test_every_control_planner_finds_an_easy_path(algorithm: str) -> None:
     """A pendulum near the top, to within a generous 0.4."""
     problem = replace(load_problem("pendulum"), tolerance=0.4)
     planner = OMPL(algorithm, seconds=3.0)
@@ -47,7 +47,7 @@ def test_every_control_planner_finds_an_easy_way(algorithm: str) -> None:
 @pytest.mark.ompl
 @needs_ompl
 @pytest.mark.parametrize("algorithm", with_slow(GEOMETRIC_ALGORITHMS, "RRTConnect"))
-def test_every_geometric_planner_finds_a_way(algorithm: str, tmp_path: Path) -> None:
+def test_every_geometric_planner_finds_a_path(algorithm: str, tmp_path: Path) -> None:
     """On the near side of the post: a slow machine must find it too."""
     near = (-0.6, 0.8, 0.0, 1.1, 0.0, 0.0, 0.0)
     problem = replace(load_problem("arm-kinematic"), goal=Box(near, near), tolerance=0.2)
@@ -75,7 +75,7 @@ def _abort(*_: object) -> None:
 
 
 @needs_ompl
-def test_other_versions_say_which_has_the_planner(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ompl_version_without_the_planner_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.metadata, "version", lambda _: "2.0.1")
     problem = load_problem("pendulum")
     with pytest.raises(PlanspaceError, match="OMPL 2.0.1 cannot construct SST and PDST.*'ompl==1.7.0'"):
@@ -83,7 +83,7 @@ def test_other_versions_say_which_has_the_planner(monkeypatch: pytest.MonkeyPatc
     OMPL("RRT").check(problem)
 
 
-def test_a_planner_for_the_other_kind_of_problem_and_a_missing_ompl_are_said(
+def test_the_wrong_kind_of_problem_and_missing_ompl_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with pytest.raises(UsageError, match="ompl-prm cannot plan a dynamic problem; sst, ompl-sst"):

@@ -74,7 +74,7 @@ def test_a_start_in_the_goal_region_is_drawn_again() -> None:
     assert isinstance(inside, Failure) and inside.reason == "the start lies in the goal region"
 
 
-def test_holding_must_not_leave_what_is_valid() -> None:
+def test_states_while_holding_must_be_valid() -> None:
     """A cart that arrives at the wall too fast: it comes back into the goal, but through the wall."""
     wall = """<mujoco><worldbody>
       <body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
@@ -95,7 +95,7 @@ def test_holding_must_not_leave_what_is_valid() -> None:
 
 
 @pytest.mark.slow
-def test_a_goal_that_need_not_be_held_can_be_run_through() -> None:
+def test_with_hold_false_a_goal_may_be_passed_through() -> None:
     """The pole level and moving: no control holds it, so with `hold` nothing is accepted."""
     problem = load_problem("cartpole-swingup")
     through = (0.0, 1.57, 0.0, -3.0)
@@ -107,7 +107,7 @@ def test_a_goal_that_need_not_be_held_can_be_run_through() -> None:
 
 
 @pytest.mark.slow
-def test_rotations_are_stored_with_one_sign_and_an_end_of_positive_w() -> None:
+def test_quaternions_are_stored_without_sign_changes_and_end_with_positive_w() -> None:
     problem = load_problem("ball-pendulum")
     episode = Pipeline(problem, PlanConfig.for_problem(problem, restarts=1)).plan(0, 1)
     assert not isinstance(episode, Failure)

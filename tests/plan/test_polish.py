@@ -66,7 +66,7 @@ def test_a_swing_up_gets_shorter_and_stays_within_its_limits() -> None:
     assert len(controls) <= 0.75 * len(wandering)
 
 
-def test_effort_is_saved_at_the_same_duration() -> None:
+def test_effort_is_reduced_at_the_same_duration() -> None:
     problem = replace(load_problem("reacher"), cost="effort")
     simulator = make(problem)
     goal = problem.draw_goal(simulator.space, np.random.default_rng(0))

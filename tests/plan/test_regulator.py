@@ -22,7 +22,7 @@ def regulator(simulator: Simulator) -> Regulator:
     return Regulator(simulator, goal, WEIGHTS, RegulatorConfig())
 
 
-def test_catches_a_tilted_pole_and_says_when_it_cannot(simulator: Simulator, regulator: Regulator) -> None:
+def test_catches_a_tilted_pole_and_reports_when_it_cannot(simulator: Simulator, regulator: Regulator) -> None:
     starts = np.array([[0.1, 0.2, 0.0, 0.0], [0.0, np.pi, 0.0, 0.0], [0.0, 2 * np.pi + 0.1, 0.0, 0.0]])
     controls, steps, arrived = regulator.finish(simulator, starts)
     assert arrived.tolist() == [True, False, True]  # hanging is too far; a winding does not matter
@@ -38,7 +38,7 @@ def test_controls_stay_within_the_models_range(regulator: Regulator) -> None:
     assert np.abs(regulator.control(np.array([[0.9, 1.0, 5.0, 9.0]]))).max() == 3.0
 
 
-def test_a_direction_that_does_not_matter_and_cannot_be_controlled_is_left_alone() -> None:
+def test_a_direction_without_weight_and_control_is_ignored() -> None:
     """A rod's turn about itself has no motor: the plain Riccati equation has no solution."""
     problem = load_problem("ball-pendulum")
     model, space = problem.compile()
@@ -51,7 +51,7 @@ def test_a_direction_that_does_not_matter_and_cannot_be_controlled_is_left_alone
     assert arrived.all()
 
 
-def test_a_goal_that_cannot_be_stabilised_leaves_the_control_where_it_is() -> None:
+def test_a_goal_that_cannot_be_stabilised_has_zero_gain() -> None:
     problem = load_problem("cartpole-swingup")
     model, space = problem.compile()
     model.actuator_gear[:] = 0.0  # nothing can be done

@@ -54,7 +54,7 @@ def test_more_rounds_never_make_a_longer_plan() -> None:
 
 
 @pytest.mark.slow
-def test_effort_is_another_cost_than_duration() -> None:
+def test_minimising_effort_gives_lighter_plans_than_duration() -> None:
     problem = replace(load_problem("cartpole-swingup"), cost="effort")
     config = replace(CONFIG, min_rounds=30)
     light = solve(0, config, problem)
@@ -66,7 +66,7 @@ def test_effort_is_another_cost_than_duration() -> None:
     assert light.cost < problem.step_cost(simulator, quick.controls).sum()
 
 
-def test_seconds_are_a_budget_too_and_improve_all_the_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_budget_of_seconds_is_used_up_to_improve(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds = itertools.count()  # a clock by which each takes a second
     monkeypatch.setattr("planspace.plan.sst_search.time", SimpleNamespace(monotonic=lambda: next(rounds)))
     found = solve(0, replace(CONFIG, seconds=40.0, max_rounds=1))
@@ -74,7 +74,7 @@ def test_seconds_are_a_budget_too_and_improve_all_the_while(monkeypatch: pytest.
     assert next(rounds) == 42  # when it began, 40 rounds, and one too many
 
 
-def test_gives_up_within_its_budget_and_says_how_near_it_came() -> None:
+def test_gives_up_within_its_budget_and_reports_the_nearest_distance() -> None:
     found = solve(0, SST(extensions=8, min_rounds=1, max_rounds=1))
     assert not found.arrived
     assert 1.0 < found.nearest <= np.pi  # it started pi away
@@ -107,7 +107,9 @@ def members(tree: Tree) -> dict[tuple, list[int]]:
 
 
 @pytest.mark.parametrize("shrinks", [0, 3])
-def test_one_cheapest_representative_a_witness_cell(rng: np.random.Generator, shrinks: int) -> None:
+def test_each_witness_cell_is_represented_by_its_cheapest_node(
+    rng: np.random.Generator, shrinks: int
+) -> None:
     tree = make_tree(rng, 30)
     for _ in range(shrinks):
         tree.shrink(0.8)
@@ -118,7 +120,7 @@ def test_one_cheapest_representative_a_witness_cell(rng: np.random.Generator, sh
         assert winner in nodes and tree.costs[winner] == min(tree.costs[nodes])
 
 
-def test_shrinking_brings_back_nodes_that_another_had_displaced(rng: np.random.Generator) -> None:
+def test_shrinking_restores_displaced_nodes(rng: np.random.Generator) -> None:
     tree = make_tree(rng, 30)
     before = set(tree._winner.tolist())
     tree.shrink(0.5)
@@ -132,7 +134,7 @@ def test_costs_are_the_sum_of_durations_to_the_root(rng: np.random.Generator) ->
         assert 0.02 * len(tree.path(int(node))) == pytest.approx(tree.costs[node])
 
 
-def test_neighbours_agree_with_a_full_search_however_the_index_is_split(
+def test_neighbours_agree_with_a_full_search(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tree_module, "NEIGHBOUR_SLACK", 0.0)
