@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
 from planspace.demos.convert import load_source
 from planspace.demos.dataset import Demos
 from planspace.demos.formats.registry import find_format
+from planspace.demos.manifest import DatasetSettings
 from planspace.demos.stored import StoredDemos
 from planspace.errors import PlanspaceError
 from planspace.mjcf.subprocess_model import check_compiles
@@ -42,7 +43,7 @@ class Description(TypedDict):
     """States that are angles on a circle."""
     controls: int
     problem: str
-    made_by: dict[str, Any]
+    made_by: DatasetSettings
     """The planner and seed, or the imported source."""
     states_per_demonstration: Spread
     duration_s: Spread
@@ -174,12 +175,18 @@ def _parts(demos: Demos | StoredDemos) -> Iterator[tuple[int, Demos]]:
         first += len(part)
 
 
-def _origin(demos: Demos | StoredDemos, folder: Path) -> dict[str, Any]:
+def _origin(demos: Demos | StoredDemos, folder: Path) -> DatasetSettings:
     """The planner and seed, or the imported source."""
     if isinstance(demos, Demos):
         return {"imported": str(folder)}
-    shown = ("planner", "seed", "imported")
-    return {key: value for key, value in demos.settings.items() if key in shown}
+    settings, origin = demos.settings, DatasetSettings()
+    if "planner" in settings:
+        origin["planner"] = settings["planner"]
+    if "seed" in settings:
+        origin["seed"] = settings["seed"]
+    if "imported" in settings:
+        origin["imported"] = settings["imported"]
+    return origin
 
 
 def _spread(x: np.ndarray) -> Spread:
