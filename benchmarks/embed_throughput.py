@@ -31,7 +31,7 @@ def prepare(num_seeds: int, steps: int, one_by_one: bool = False):
     from planspace.demos.episode import Episode
     from planspace.demos.state_info import StateInfo
     from planspace.embed.config import PRESETS
-    from planspace.embed.embedding import Inputs
+    from planspace.embed.inputs import Inputs
     from planspace.embed.samples import make_samples
     from planspace.embed.steps import init, make_advance, run_steps
 

@@ -25,7 +25,8 @@ import gymnasium
 import mujoco.batch
 import numpy as np
 
-from planspace.embed.embedding import Embedding, Inputs, Turn
+from planspace.embed.embedding import Embedding, LinearMap
+from planspace.embed.inputs import Inputs
 from planspace.envs.vector import TaskVectorEnv
 from planspace.envs.wrappers import (
     PlanSpaceObservation,
@@ -89,7 +90,7 @@ def make_embedding(task: Task, folder: Path) -> Path:
         return weights, [np.zeros(len(w), np.float32) for w in weights]
 
     num = len(inputs.columns)
-    turn = Turn(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
+    turn = LinearMap(np.eye(3, dtype=np.float32), np.zeros(3, np.float32))
     Embedding(inputs, layers(num, 64, 64, 6), layers(3, 64, 64, 2 * num), 0.0, turn).save(
         folder / "embedding"
     )

@@ -28,7 +28,7 @@ TARGETS = ("problem", "model", "manifest", "embedding", "policies", "json", "csv
 INSTRUMENTED = (
     "storage.json_files",
     "demos.convert",
-    "embed.embedding",
+    "embed.saved_embedding",
     "tasks.problem_file",
     "rl.saved_policy",
 )
@@ -66,7 +66,7 @@ def fuzz(target: str, seconds: int, kept: Path) -> None:
 def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
     """A function that reads a file with given bytes, and the files to start from."""
     from planspace.demos.load import load_demos
-    from planspace.embed.embedding import load_embedding
+    from planspace.embed.saved_embedding import load_embedding
     from planspace.mjcf.assets import ASSETS
     from planspace.mjcf.read import read_model
     from planspace.rl.saved_policy import load_policy

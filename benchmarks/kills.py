@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.storage.arrays import read_arrays
 from planspace.workers import WORKER_ENVIRONMENT
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.envs.batch import TaskBatch
 from planspace.physics.replay import advance
 from planspace.plan.config import PlanConfig

@@ -16,8 +16,11 @@ if TYPE_CHECKING:
     from planspace.demos.load import load_demos as load_demos
     from planspace.embed.config import FitConfig as FitConfig
     from planspace.embed.embedding import Embedding as Embedding
-    from planspace.embed.embedding import load_embedding as load_embedding
     from planspace.embed.fit import fit_embedding as fit_embedding
+    from planspace.embed.measurement import Measurement as Measurement
+    from planspace.embed.measurement import measure_embedding as measure_embedding
+    from planspace.embed.objective import Objective as Objective
+    from planspace.embed.saved_embedding import load_embedding as load_embedding
     from planspace.envs.make import make_env as make_env
     from planspace.envs.make import wrap as wrap
     from planspace.errors import PartialResult as PartialResult
@@ -38,6 +41,8 @@ _MODULE_OF = {
     "Demos": "planspace.demos.dataset",
     "Embedding": "planspace.embed.embedding",
     "FitConfig": "planspace.embed.config",
+    "Measurement": "planspace.embed.measurement",
+    "Objective": "planspace.embed.objective",
     "PartialResult": "planspace.errors",
     "PlanConfig": "planspace.plan.config",
     "PlanspaceError": "planspace.errors",
@@ -49,10 +54,11 @@ _MODULE_OF = {
     "UsageError": "planspace.errors",
     "fit_embedding": "planspace.embed.fit",
     "load_demos": "planspace.demos.load",
-    "load_embedding": "planspace.embed.embedding",
+    "load_embedding": "planspace.embed.saved_embedding",
     "load_policy": "planspace.rl.saved_policy",
     "load_problem": "planspace.tasks.problem_file",
     "make_env": "planspace.envs.make",
+    "measure_embedding": "planspace.embed.measurement",
     "plan_demos": "planspace.plan.demonstrations",
     "train_policies": "planspace.rl.training",
     "wrap": "planspace.envs.make",

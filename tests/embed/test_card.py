@@ -8,8 +8,9 @@ import pytest
 
 from planspace.embed.card import METRICS, model_card
 from planspace.embed.config import PRESETS
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import Geometry
+from planspace.embed.inputs import Inputs
 from planspace.seams import plain_settings
 
 SECTIONS = ["How to use it", "Inputs", "Training", "Geometry on the test split", "Limits", "Versions"]

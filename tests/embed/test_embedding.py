@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from planspace import load_embedding
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import read_sealed, write_sealed

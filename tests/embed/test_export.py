@@ -10,7 +10,8 @@ import pytest
 
 import planspace
 from planspace.embed import export
-from planspace.embed.embedding import Embedding, Inputs, InputType, Turn
+from planspace.embed.embedding import Embedding, LinearMap
+from planspace.embed.inputs import Inputs, InputType
 from planspace.embed.networks import GaussianNetwork
 from planspace.errors import PlanspaceError
 
@@ -35,7 +36,7 @@ def made(form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...] = (
     weights = [np.asarray(w) for w in net.weights]
     biases = [rng.normal(size=len(b)).astype(np.float32) for b in net.biases]
     decoder = ([np.zeros((2 * num, 3))], [np.zeros(2 * num)])
-    return Embedding(inputs, (weights, biases), decoder, 0.2, Turn(TURN, np.array([0.3, -1.0, 2.0])))
+    return Embedding(inputs, (weights, biases), decoder, 0.2, LinearMap(TURN, np.array([0.3, -1.0, 2.0])))
 
 
 def run(path: Path, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +92,7 @@ def test_sigma_by_hand(tmp_path: Path) -> None:
     """
     inputs = Inputs(("x",), ("m",), (), "raw", np.zeros(1), np.ones(1))
     layer = ([np.array([[2.0], [1.0]])], [np.array([1.0, 0.0])])
-    embedding = Embedding(inputs, layer, layer, 0.0, Turn(np.array([[2.0]]), np.array([0.5])))
+    embedding = Embedding(inputs, layer, layer, 0.0, LinearMap(np.array([[2.0]]), np.array([0.5])))
     export.export_onnx(embedding, tmp_path / "e.onnx")
     mu, sigma = run(tmp_path / "e.onnx", np.array([[-1.0], [0.0], [3.0]], np.float32))
     np.testing.assert_allclose(mu[:, 0], [-3.0, 1.0, 13.0], atol=1e-6)

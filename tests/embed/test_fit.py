@@ -12,9 +12,11 @@ from planspace.demos.episode import Episode
 from planspace.embed import fit as module
 from planspace.embed import steps, training
 from planspace.embed.config import PRESETS
-from planspace.embed.embedding import Embedding, Inputs, load_embedding
+from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_embedding
 from planspace.embed.geometry import measure
+from planspace.embed.inputs import Inputs
+from planspace.embed.saved_embedding import load_embedding
 from planspace.embed.training import CHUNK
 from planspace.errors import PlanspaceError, UsageError
 from planspace.storage.arrays import read_arrays, read_arrays_and_metadata
@@ -99,7 +101,7 @@ def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None
         demos, out=tmp_path / "e", config=replace(PRESETS["paper"], steps=100), num_seeds=1, seed=0
     )
     assert embedding.inputs.form == "raw"
-    assert (embedding.inputs.mean == 0).all() and (embedding.inputs.deviation == 1).all()
+    assert (embedding.inputs.mean == 0).all() and (embedding.inputs.std == 1).all()
     paper = PRESETS["paper"]
     assert (paper.objective.linearity, paper.objective.prior, paper.batch) == (0.5, 1.0, 50)
 
@@ -123,7 +125,7 @@ def test_the_paper_chooses_by_path_error_where_modern_takes_the_midpoint(demos: 
 
 
 def test_modern_never_keeps_a_collapsed_seed_beside_a_whole_one(embedding: Embedding, demos: Demos) -> None:
-    embedding = replace(embedding, turn=None)
+    embedding = replace(embedding, linear_map=None)
     weights, biases = embedding.encoder
     last = weights[-1].copy()
     last[0] = 0.0  # the first dimension's mean no longer depends on the state
@@ -296,7 +298,7 @@ def test_z_of_any_size(demos: Demos, tmp_path: Path) -> None:
 def test_states_too_large_to_be_learned_from_are_refused(demos: Demos, tmp_path: Path) -> None:
     states = demos.states.copy()
     states[-1] = 1e300
-    with pytest.raises(PlanspaceError, match="states hold a number that is not finite, or beyond 1e"):
+    with pytest.raises(PlanspaceError, match="states contain a number that is not finite, or larger than 1e"):
         fit_embedding(
             replace(demos, states=states), out=tmp_path / "e", config=QUICK_FIT, num_seeds=1, seed=0
         )

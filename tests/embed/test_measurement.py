@@ -5,15 +5,16 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding, Inputs
-from planspace.embed.measurement import assess, load_truth, true_time_correlation
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
+from planspace.embed.measurement import load_truth, measure_embedding, true_time_correlation
 from planspace.errors import PlanspaceError
 
 NAMES = ("slider", "hinge", "slidervel", "hingevel")
 
 
 def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding, demos: Demos) -> None:
-    found = assess(embedding, demos)
+    found = measure_embedding(embedding, demos).to_dict()
     assert set(found["splits"]) == {"train", "validation", "test"}
     assert found["splits"]["test"]["embedding"] == embedding.about["metrics"]["test"]
     assert found["splits"]["train"]["embedding"]["num_demos"] == 10
@@ -26,9 +27,18 @@ def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding
     assert found["checks"]["outside_support"] < 0.2
 
 
+def test_a_measurement_is_shown_in_a_few_lines(embedding: Embedding, demos: Demos) -> None:
+    found = measure_embedding(embedding, demos)
+    assert repr(found).startswith(
+        "Measurement on 1 demonstrations, test split: z (raw state)\n  straightness "
+    )
+    assert "change by a turn" in repr(found) and len(repr(found).splitlines()) <= 10
+    assert "<table><caption>Measurement on" in found._repr_html_()
+
+
 def test_other_demonstrations_are_measured_as_one(embedding: Embedding, demos: Demos) -> None:
     other = replace(demos, states=demos.states * 1.01)
-    assert list(assess(embedding, other)["splits"]) == ["all"]
+    assert list(measure_embedding(embedding, other).splits) == ["all"]
 
 
 def test_an_encoder_of_raw_angles_is_caught_by_a_turn(embedding: Embedding, demos: Demos) -> None:
@@ -40,7 +50,7 @@ def test_an_encoder_of_raw_angles_is_caught_by_a_turn(embedding: Embedding, demo
     decoder = [w.copy() for w in raw.decoder[0]]
     decoder[-1] = decoder[-1][:8]
     biases = [*raw.decoder[1][:-1], raw.decoder[1][-1][:8]]
-    found = assess(replace(raw, decoder=(decoder, biases)), demos)["checks"]
+    found = measure_embedding(replace(raw, decoder=(decoder, biases)), demos).to_dict()["checks"]
     assert found["change_by_a_turn"] > 0.1
     assert "outside_support" not in found
 
@@ -61,10 +71,10 @@ def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp
     np.savez(tmp_path / "good.npz", **good)
     states, time, _ = load_truth(tmp_path / "good.npz", NAMES)
     assert states.shape == (9, 4) and time.shape == (9,)
-    found = assess(embedding, demos, tmp_path / "good.npz")["checks"]
+    found = measure_embedding(embedding, demos, truth=tmp_path / "good.npz").to_dict()["checks"]
     assert -1 <= found["true_time_correlation"] <= 1
     cases = {
-        "is no .npz": None,
+        "is not an .npz": None,
         "`states` must be": good | {"states": np.zeros((9, 3))},
         "not finite": good | {"time": np.full(9, np.nan)},
         "with `states`, `time` and `goal`": {"states": good["states"]},
@@ -86,7 +96,7 @@ def test_an_array_alone_and_half_a_file_are_no_truth(tmp_path: Path) -> None:
     np.savez(tmp_path / "b.npz", states=np.zeros((900, 4)))
     (tmp_path / "b.npz").write_bytes((tmp_path / "b.npz").read_bytes()[:-200])
     for name in ("a.npy", "b.npz"):
-        with pytest.raises(PlanspaceError, match="is no .npz with"):
+        with pytest.raises(PlanspaceError, match="is not an .npz with"):
             load_truth(tmp_path / name, NAMES)
 
 
@@ -108,20 +118,22 @@ SPLITS = {
 def test_splits_that_cannot_be(lie: str, embedding: Embedding, demos: Demos) -> None:
     SPLITS[lie](embedding.about)
     with pytest.raises(PlanspaceError, match="does not deal each of them to one of train, validation, test"):
-        assess(embedding, demos)
+        measure_embedding(embedding, demos)
 
 
 def test_a_split_without_its_demonstrations_is_none(embedding: Embedding, demos: Demos) -> None:
     embedding.about.pop("settings")
-    assert list(assess(embedding, demos)["splits"]) == ["all"]
+    assert list(measure_embedding(embedding, demos).splits) == ["all"]
 
 
 def test_numbers_too_large_to_be_measured_are_refused(embedding: Embedding, demos: Demos) -> None:
     states = demos.states.copy()
     states[3] = 1e300
-    with pytest.raises(PlanspaceError, match="states hold a number that is not finite, or beyond 1e"):
-        assess(embedding, replace(demos, states=states))
+    with pytest.raises(PlanspaceError, match="states contain a number that is not finite, or larger than 1e"):
+        measure_embedding(embedding, replace(demos, states=states))
     states[3] = 0.99e15  # of a state that can be, but not what is made of it
     weights = [weight * np.float32(1e15) for weight in embedding.encoder[0]]
-    with pytest.raises(PlanspaceError, match="z of these states, or .* hold a number"):
-        assess(replace(embedding, encoder=(weights, embedding.encoder[1])), replace(demos, states=states))
+    with pytest.raises(PlanspaceError, match="z of these states, or .* contain a number"):
+        measure_embedding(
+            replace(embedding, encoder=(weights, embedding.encoder[1])), replace(demos, states=states)
+        )

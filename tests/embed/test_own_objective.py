@@ -12,9 +12,9 @@ import pytest
 
 from planspace.demos.dataset import Demos
 from planspace.embed.config import PRESETS
-from planspace.embed.embedding import load_embedding
 from planspace.embed.fit import fit_embedding
 from planspace.embed.objective import Objective, as_objective
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError, UsageError
 
 from ..strangers.own_objective import Contrast, midpoint_loss

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding, Inputs
-from planspace.embed.principal import principal_components, principal_turn
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
+from planspace.embed.principal import principal_components, principal_map
 from planspace.errors import PlanspaceError
 
 
@@ -27,12 +28,12 @@ def test_more_components_than_inputs_are_refused() -> None:
 
 
 def test_turning_orders_whitens_and_scales(embedding: Embedding, demos: Demos) -> None:
-    plain = replace(embedding, turn=None)
+    plain = replace(embedding, linear_map=None)
     latent = plain.encode(demos.states)
     values = np.linalg.eigvalsh(np.cov(latent.T))[::-1]
     for whitening in (0.0, 0.3, 1.0):
-        turn = principal_turn(plain, demos.states, whitening=whitening, deviation=2.5)
-        turned = replace(plain, turn=turn)
+        linear_map = principal_map(plain, demos.states, whitening=whitening, std=2.5)
+        turned = replace(plain, linear_map=linear_map)
         z = turned.encode(demos.states)
         covariance = np.cov(z.T)
         after = values ** (1 - whitening)
@@ -42,12 +43,12 @@ def test_turning_orders_whitens_and_scales(embedding: Embedding, demos: Demos) -
         )  # nothing is lost
         _, sigma = plain.encode_distribution(demos.states)
         sampled = latent + sigma * np.random.default_rng(0).normal(size=(500, *sigma.shape))
-        spread = turn(sampled, np.zeros_like(sampled))[0].std(axis=0)
+        spread = linear_map(sampled, np.zeros_like(sampled))[0].std(axis=0)
         np.testing.assert_allclose(turned.encode_distribution(demos.states)[1], spread, rtol=0.2)
 
 
 def test_straight_lines_stay_straight(embedding: Embedding, demos: Demos) -> None:
-    turn = principal_turn(replace(embedding, turn=None), demos.states, whitening=1.0, deviation=1.0)
+    linear_map = principal_map(replace(embedding, linear_map=None), demos.states, whitening=1.0, std=1.0)
     line = np.linspace(np.zeros(3), np.array([1.0, -2.0, 0.5]), 9)
-    z, _ = turn(line, np.ones_like(line))
+    z, _ = linear_map(line, np.ones_like(line))
     np.testing.assert_allclose(np.diff(z, n=2, axis=0), 0.0, atol=1e-5)

@@ -9,7 +9,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.embed.config import PAPER_SPACINGS, PRESETS
-from planspace.embed.embedding import Inputs
+from planspace.embed.inputs import Inputs
 from planspace.embed.objectives.shuffled import Shuffled
 from planspace.embed.samples import make_samples
 from planspace.embed.triplet_source import TripletSource
@@ -50,7 +50,7 @@ def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> No
     samples = make_samples(demos, np.arange(8), inputs, PRESETS["modern"], 0)
     batch = samples.draw(jr.key(0), 3000)
     states = inputs.invert(np.asarray(batch.off_data))
-    x = np.asarray(batch.off_data) * inputs.deviation + inputs.mean
+    x = np.asarray(batch.off_data) * inputs.std + inputs.mean
     np.testing.assert_allclose(x[:, 1] ** 2 + x[:, 2] ** 2, 1.0, atol=1e-4)  # sin and cos of one angle
     train = demos.states[demos.rows(np.arange(8))]
     middle = np.asarray(samples.triplets)[:, 1]

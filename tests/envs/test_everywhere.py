@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
 from planspace.envs.wrappers import PlanSpaceObservation, PlanSpaceShaping
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task

@@ -11,7 +11,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import RescaleObservation
 
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
 from planspace.envs.wrappers import (
     PlanSpaceObservation,
     PlanSpaceShaping,

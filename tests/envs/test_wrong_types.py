@@ -40,7 +40,7 @@ CASES = {
     "show(columns=3)": "UsageError: columns are whole numbers, got 3.",
     "show(columns=list(np.arange(4))).spec.to_json()": "accepted",
     "show(embedding=folder + '/embedding.json')": "PlanspaceError: ",
-    "show(embedding=None)": "UsageError: an embedding is given by the path of its folder, got None.",
+    "show(embedding=None)": "UsageError: expected the path of an embedding's folder, got None.",
     "show(embedding=embedding)": "accepted",
     "planspace.make_env({})": "UsageError: expected a task or its name, got {}. See docs/howto/own-task.md.",
     "planspace.make_env('cartpole', obs=3)": "UsageError: unknown observation type 3.",

@@ -8,7 +8,8 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
 from planspace.demos.state_info import StateInfo
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
 
 NAMES, UNITS = ("p", "q", "r", "s", "t"), ("m", "", "m/s", "rad/s", "N")
 

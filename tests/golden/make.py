@@ -14,7 +14,7 @@ import numpy as np
 
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy

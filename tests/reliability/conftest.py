@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from planspace.embed.embedding import Embedding, load_embedding
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 
 from .audit import CANARY
 from .hostile_models import write_models

@@ -18,7 +18,7 @@ from planspace.demos.formats.minari import write_minari
 from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
 from planspace.mjcf.assets import ASSETS

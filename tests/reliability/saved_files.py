@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy

@@ -15,7 +15,8 @@ from planspace.demos.dataset import Demos
 from planspace.demos.folder import DemoFolder
 from planspace.demos.formats.npz import write_npz
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import DESCRIPTION, Embedding, load_embedding
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import DESCRIPTION, load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.saved_policy import load_policy, save_policies
 from planspace.storage.checkpoint import load_checkpoint, save_checkpoint

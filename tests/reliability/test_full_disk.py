@@ -12,7 +12,7 @@ import pytest
 
 from planspace.cli import main
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError
 from planspace.rl.history import load_history
 from planspace.study.run import run_study

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.storage.arrays import read_arrays, write_arrays
 
 from .audit import Change, assert_rejected, reseal

@@ -7,7 +7,7 @@ import pytest
 
 from planspace.cli import main
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.mjcf import subprocess_model
 from planspace.tasks.problem_file import load_problem
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from planspace.cli.repair import repair
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import load_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
 from planspace.rl.history import load_history

@@ -9,7 +9,8 @@ import pytest
 
 from planspace import load_policy
 from planspace.cli import main
-from planspace.embed.embedding import Embedding, load_embedding
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import arm as arm_module
 from planspace.rl.algorithms import find_algorithm

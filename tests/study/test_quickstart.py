@@ -84,7 +84,7 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("tiny")
 def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) -> None:
     from planspace.demos.load import load_demos
-    from planspace.embed.embedding import load_embedding
+    from planspace.embed.saved_embedding import load_embedding
     from planspace.storage.arrays import read_arrays
     from planspace.study.quickstart_report import write_report
 

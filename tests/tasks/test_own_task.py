@@ -13,7 +13,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import planspace as ps
-from planspace.embed.embedding import Embedding, Inputs
+from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
 from planspace.envs import register_task
 from planspace.errors import PlanspaceError, UsageError
 from planspace.tasks.catalog import TASKS, add_task, find_task

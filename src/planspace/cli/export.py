@@ -23,8 +23,8 @@ class Export:
 
     def __call__(self) -> None:
         """Export the encoder."""
-        from planspace.embed.embedding import load_embedding
         from planspace.embed.export import export_onnx
+        from planspace.embed.saved_embedding import load_embedding
 
         export_onnx(load_embedding(self.embedding), self.out)
         print(self.out)

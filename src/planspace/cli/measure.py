@@ -34,14 +34,14 @@ class Measure:
     def __call__(self) -> None:
         """Print the metrics."""
         from planspace.demos.load import load_demos
-        from planspace.embed.embedding import load_embedding
-        from planspace.embed.measurement import assess
+        from planspace.embed.measurement import measure_embedding
+        from planspace.embed.saved_embedding import load_embedding
         from planspace.storage.files import make_folder
 
         demos, embedding = load_demos(self.demos), load_embedding(self.embedding)
         if self.plot is not None:
             make_folder(self.plot)
-        found = assess(embedding, demos, self.truth)
+        found = measure_embedding(embedding, demos, truth=self.truth).to_dict()
         if self.plot is not None:
             from planspace.figures.embedding_figures import draw_embedding
 

@@ -39,7 +39,7 @@ def repair(folder: Path) -> list[str]:
     Raises:
         PlanspaceError: the folder does not exist or cannot be written.
     """
-    from planspace.embed.embedding import LOG
+    from planspace.embed.saved_embedding import LOG
     from planspace.study.execute import WHOLE
 
     return repair_folder(folder, _checks(), finished_marks=(WHOLE,), logs=(LOG,))

@@ -73,7 +73,7 @@ class Train:
 
     def __call__(self) -> None:
         """Train, draw the learning curve, and print the returns at the end."""
-        from planspace.embed.embedding import load_embedding
+        from planspace.embed.saved_embedding import load_embedding
         from planspace.rl.training import train_policies
         from planspace.storage.compiled import use_compilation_cache
 

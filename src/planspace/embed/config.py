@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
-from planspace.embed.embedding import INPUT_TYPES, InputType
+from planspace.embed.inputs import INPUT_TYPES, InputType
 from planspace.embed.objective import PAGE, Objective, as_objective
 from planspace.embed.objectives import OBJECTIVES
 from planspace.embed.objectives.variational import Variational

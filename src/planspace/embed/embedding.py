@@ -1,142 +1,35 @@
-"""The saved artefact: an encoder one can load anywhere. NumPy alone; neither JAX nor MuJoCo is imported.
-
-    DIR/embedding.safetensors   the weights and the normaliser
-    DIR/embedding.json          what they mean: inputs, architecture, preset, seed, metrics, provenance
-    DIR/README.md, log.jsonl    a model card and the curves of its training; `fit` writes them
-
-The JSON is sealed by its own checksum and holds the SHA-256 of the weights.
-"""
+"""A learned map from states to z: its mathematics. NumPy only; neither JAX nor MuJoCo is imported."""
 
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from planspace.embed.inputs import Inputs
+from planspace.embed.mlp import Layer, forward
 from planspace.embed.support import Support
-from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.storage.arrays import Arrays, read_arrays, write_arrays
-from planspace.storage.checks import CONFIG, reject_malformed
-from planspace.storage.files import make_folder
-from planspace.storage.json_files import read_description, write_sealed
+from planspace.errors import PlanspaceError, UsageError
+from planspace.storage.arrays import Arrays
+from planspace.summary import html_summary, text_summary
 
-SCHEMA = 2
-WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
-CARD, LOG = "README.md", "log.jsonl"
-ARCHITECTURE = "relu-gaussian"
-"""The one architecture there is: `embed.networks`. A file names it; it never names code."""
-MIN_DEVIATION = 1e-6
-LARGEST = 1e15
-"""No number of a state is larger, or of z; its square still fits in float32."""
 ONE_THREAD = 2**18
-"""OpenBLAS makes a product of so many multiplications in the thread that asks for it. States are encoded in
-blocks as small: a thread it had woken would spin on, on a core that the next step of the physics needs."""
-APART = 8
-"""So many rows or more on the last axis of a batch with several are multiplied apart from the others."""
+"""OpenBLAS computes a product with at most this many multiplications in the calling thread. States are
+encoded in blocks of that size: a thread that it had woken would keep a core busy that physics needs next."""
+SEPARATE_ROWS = 8
+"""Batches with at least this many rows on the last axis are multiplied one by one."""
 
-InputType = Literal["raw", "standard", "trig"]
-INPUT_TYPES: tuple[InputType, ...] = get_args(InputType)
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """How a state becomes the input of the encoder, and back.
-
-    `raw` takes the numbers as they are. `standard` standardises them by the training split. `trig` first
-    replaces each angle on a circle by (sin, cos), so that windings make no difference.
-    """
-
-    names: tuple[str, ...]
-    """Names of the numbers of a state."""
-    units: tuple[str, ...]
-    """Their units."""
-    circular_columns: tuple[int, ...]
-    """Which of them are angles on a circle [rad]."""
-    form: InputType
-    """`raw`, `standard` or `trig`."""
-    mean: Float[np.ndarray, " input"]
-    """Subtracted from each input; 0 where `raw`."""
-    deviation: Float[np.ndarray, " input"]
-    """Divides each input; 1 where `raw`."""
-
-    @classmethod
-    def fit(
-        cls,
-        states: Float[np.ndarray, "row state"],
-        names: Sequence[str],
-        units: Sequence[str],
-        circular_columns: Sequence[int],
-        form: InputType,
-    ) -> "Inputs":
-        """Reads the normaliser off training states.
-
-        Raises:
-            PlanspaceError: an input is constant, so that it can be neither standardised nor learned from.
-        """
-        raw = cls(tuple(names), tuple(units), tuple(circular_columns), form, np.zeros(1), np.ones(1))
-        values = raw.expand(states)
-        deviation = values.std(axis=0)
-        if (deviation < MIN_DEVIATION).any():
-            column = raw.columns[int(np.argmin(deviation))]
-            raise PlanspaceError(
-                f"the state {names[column]!r} is constant in the training demonstrations; leave it out by "
-                "naming the others in --columns."
-            )
-        if form == "raw":
-            mean, deviation = np.zeros_like(deviation), np.ones_like(deviation)
-        else:
-            mean = values.mean(axis=0)
-        return cls(tuple(names), tuple(units), tuple(circular_columns), form, mean, deviation)
-
-    @cached_property
-    def columns(self) -> list[int]:
-        """For each input, the column of the state it comes from."""
-        circular = self.circular_columns if self.form == "trig" else ()
-        return [c for c in range(len(self.names)) for _ in range(2 if c in circular else 1)]
-
-    @cached_property
-    def _sines(self) -> list[int]:
-        """The inputs that are sines; a cosine follows each."""
-        return [i for i, c in enumerate(self.columns[:-1]) if c == self.columns[i + 1]]
-
-    def expand(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
-        """States to inputs, before standardising."""
-        values = np.asarray(states)
-        values = values if values.dtype.kind == "f" else values.astype(float)
-        if not self._sines:
-            return values
-        values = values[..., self.columns]
-        for i in self._sines:
-            values[..., i] = np.sin(values[..., i])
-            values[..., i + 1] = np.cos(values[..., i + 1])
-        return values
-
-    def __call__(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
-        """States to the encoder's inputs."""
-        return (self.expand(states) - self.mean) / self.deviation
-
-    def invert(self, inputs: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch state"]:
-        """Decoded inputs back to states; angles in (-pi, pi] where the form is `trig`."""
-        values = inputs * self.deviation + self.mean
-        parts, i = [], 0
-        for column in range(len(self.names)):
-            if self.form == "trig" and column in self.circular_columns:
-                parts.append(np.arctan2(values[..., i], values[..., i + 1]))
-                i += 2
-            else:
-                parts.append(values[..., i])
-                i += 1
-        return np.stack(parts, axis=-1)
+Network = tuple[list[np.ndarray], list[np.ndarray]]
+"""Weights [out, in] and biases [out] of each layer."""
 
 
 @dataclass(frozen=True)
-class Turn:
-    """A linear map of the encoder's output, which leaves straight lines straight: z = (latent - c) M."""
+class LinearMap:
+    """A linear map of the encoder's output; straight lines stay straight: z = (latent - c) M."""
 
     matrix: Float[np.ndarray, "z z"]
     centre: Float[np.ndarray, " z"]
@@ -144,32 +37,32 @@ class Turn:
     def __call__(
         self, mu: Float[np.ndarray, "*batch z"], sigma: Float[np.ndarray, "*batch z"]
     ) -> tuple[Float[np.ndarray, "*batch z"], Float[np.ndarray, "*batch z"]]:
-        """Mean and deviation of each number of z, whose numbers may now be correlated."""
+        """Mean and standard deviation of each number of z; the numbers may be correlated."""
         return (mu - self.centre) @ self.matrix, np.sqrt(sigma**2 @ self.matrix**2)
 
     def invert(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch z"]:
-        """Back to the encoder's output."""
+        """Convert z back to the encoder's output."""
         return z @ np.linalg.inv(self.matrix) + self.centre
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Embedding:
-    """A learned map from states to z, with the decoder that was trained beside it."""
+    """A learned map from states to z, and the decoder that was trained with it."""
 
     inputs: Inputs
-    """What it expects of a state."""
-    encoder: tuple[list[np.ndarray], list[np.ndarray]]
+    """How a state becomes the encoder's input."""
+    encoder: Network
     """Weights [out, in] and biases [out] of each layer of q(z|x)."""
-    decoder: tuple[list[np.ndarray], list[np.ndarray]]
-    """The same of p(x|z)."""
+    decoder: Network
+    """The same for p(x|z)."""
     sigma_floor: float
-    """Added to the decoder's deviation."""
-    turn: Turn | None = None
-    """What makes z of the encoder's output; None where that is z itself."""
+    """Added to the decoder's standard deviation."""
+    linear_map: LinearMap | None = None
+    """Maps the encoder's output to z; None if the output is z itself."""
     support: Support | None = None
-    """What the demonstrations cover; None where nothing is known of them."""
+    """The region that the demonstrations cover; None if it is not known."""
     about: dict[str, Any] = field(default_factory=dict)
-    """Preset, seed, metrics and provenance, as saved."""
+    """Preset, seed, settings, metrics and versions, as saved."""
 
     @property
     def z_dim(self) -> int:
@@ -182,32 +75,27 @@ class Embedding:
         return len(self.inputs.names)
 
     def _mean(self, x: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch z"]:
-        *hidden, (weight, bias) = self._mean_layers
-        x = x.astype(bias.dtype)
-        for w, b in hidden:
-            x = x @ w
-            x += b
-            np.maximum(x, 0.0, out=x)
-        return x @ weight + bias
+        return forward(self._mean_layers, x.astype(self._mean_layers[-1][1].dtype), _relu)
 
     @cached_property
-    def _mean_layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Weights [in, out] and biases of what gives the mean, with the turn in the last; for speed."""
+    def _mean_layers(self) -> list[Layer]:
+        """The layers that give the mean, with the linear map multiplied into the last one, for speed."""
         weights, biases = self.encoder
         weight, bias = weights[-1][: self.z_dim].T, biases[-1][: self.z_dim]
-        if self.turn is not None:
-            weight, bias = weight @ self.turn.matrix, (bias - self.turn.centre) @ self.turn.matrix
-        last = [(np.ascontiguousarray(weight), bias)]
-        return [(np.ascontiguousarray(w.T), b) for w, b in zip(weights[:-1], biases[:-1], strict=True)] + last
+        if self.linear_map is not None:
+            matrix, centre = self.linear_map.matrix, self.linear_map.centre
+            weight, bias = weight @ matrix, (bias - centre) @ matrix
+        hidden = [(np.ascontiguousarray(w.T), b) for w, b in zip(weights[:-1], biases[:-1], strict=True)]
+        return [*hidden, (np.ascontiguousarray(weight), bias)]
 
     def columns_of(self, names: Sequence[str]) -> tuple[int, ...]:
-        """Where, among these states, are the ones it reads.
+        """Find the columns that the embedding reads.
 
         Args:
             names: the names of a state's numbers.
 
         Raises:
-            UsageError: one it reads is not among them.
+            UsageError: a state that the embedding reads is missing.
         """
         if missing := [name for name in self.inputs.names if name not in names]:
             raise UsageError(
@@ -217,18 +105,18 @@ class Embedding:
         return tuple(list(names).index(name) for name in self.inputs.names)
 
     def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
-        """The mean of q(z|x), which is what an agent observes.
+        """Compute the mean of q(z|x), which agents observe.
 
-        Groups of `APART` or more states, with an axis of groups in front, are rounded as each is by itself,
-        whatever the others are.
+        If there is an axis of groups in front of at least `SEPARATE_ROWS` states, each group is rounded as if
+        it were encoded alone.
 
         Raises:
-            PlanspaceError: the states have another number of columns.
+            PlanspaceError: the states have the wrong number of columns.
         """
         x = self.inputs(self._checked(states))
         *leading, width = x.shape
         rows = max(1, ONE_THREAD // max(weight.size for weight, _ in self._mean_layers))
-        if x.size <= rows * width or (x.ndim > 2 and APART <= x.shape[-2] <= rows):
+        if x.size <= rows * width or (x.ndim > 2 and SEPARATE_ROWS <= x.shape[-2] <= rows):
             return self._mean(x)
         x = x.reshape(-1, width)
         blocks = np.zeros((-(-len(x) // rows), rows, width))
@@ -238,81 +126,84 @@ class Embedding:
     def encode_distribution(
         self, states: Float[np.ndarray, "*batch state"]
     ) -> tuple[Float[np.ndarray, "*batch z"], Float[np.ndarray, "*batch z"]]:
-        """Mean and deviation of q(z|x).
+        """Compute the mean and the standard deviation of q(z|x).
 
         Raises:
-            PlanspaceError: the states have another number of columns.
+            PlanspaceError: the states have the wrong number of columns.
         """
         mu, sigma = _gaussian(self.inputs(self._checked(states)), self.encoder, 0.0)
-        return (mu, sigma) if self.turn is None else self.turn(mu, sigma)
+        return (mu, sigma) if self.linear_map is None else self.linear_map(mu, sigma)
 
     def decode(self, z: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch state"]:
-        """The state the decoder takes z to be.
+        """Compute the mean of p(x|z), as a state.
 
         Raises:
-            PlanspaceError: z has another number of columns.
+            PlanspaceError: z has the wrong number of columns.
         """
         z = np.asarray(z)
         if z.shape[-1:] != (self.z_dim,):
             raise PlanspaceError(f"z has {self.z_dim} numbers, got an array of shape {z.shape}.")
-        latent = z if self.turn is None else self.turn.invert(z)
+        latent = z if self.linear_map is None else self.linear_map.invert(z)
         return self.inputs.invert(_gaussian(latent, self.decoder, self.sigma_floor)[0])
 
     def distance(
         self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
     ) -> Float[np.ndarray, "*batch3"]:
-        """|z(a) - z(b)|: how far apart two states are for the plans it was trained on."""
+        """|z(a) - z(b)|: the distance between two states along plans like those of the training."""
         return norm(self.encode(a) - self.encode(b))
 
     def outside_support(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
-        """Which states lie outside what the demonstrations cover, where z is a guess.
+        """Tell which states lie outside the region that the demonstrations cover, where z is a guess.
 
         Raises:
-            PlanspaceError: the embedding knows nothing of its demonstrations.
+            PlanspaceError: the embedding does not know that region.
         """
         if self.support is None:
-            raise PlanspaceError("the embedding does not hold the support of its demonstrations.")
+            raise PlanspaceError("the embedding does not contain the support of its demonstrations.")
         return self.support.outside(self.inputs(self._checked(states)))
 
-    def save(self, path: Path) -> None:
-        """Saves it in a folder; the description is written last, and without it there is no embedding.
+    def save(self, path: str | Path) -> None:
+        """Save the embedding in a folder; `load_embedding` reads it.
 
         Raises:
-            PlanspaceError: an embedding stands there already, or it cannot be written.
+            PlanspaceError: the folder already holds an embedding, or cannot be written.
         """
-        if (path / DESCRIPTION).exists():
-            raise PlanspaceError(f"{path} already holds an embedding; choose another --out.")
-        make_folder(path)
-        sha256 = write_arrays(path / WEIGHTS, self._saved_arrays())
-        write_sealed(
-            path / DESCRIPTION,
-            {
-                "schema": SCHEMA,
-                "kind": "embedding",
-                "architecture": ARCHITECTURE,
-                "weights_sha256": sha256,
-                "inputs": {
-                    "names": self.inputs.names,
-                    "units": self.inputs.units,
-                    "circular_columns": self.inputs.circular_columns,
-                    "form": self.inputs.form,
-                },
-                "z_dim": self.z_dim,
-                "sigma_floor": self.sigma_floor,
-                "support_radius": None if self.support is None else self.support.radius,
-                "about": self.about,
-            },
-        )
+        from planspace.embed.saved_embedding import save_embedding
+
+        save_embedding(self, Path(path))
+
+    def __repr__(self) -> str:
+        """A few lines: what it reads, how it was trained, how straight plans are."""
+        return text_summary(*self._summary())
+
+    def _repr_html_(self) -> str:
+        return html_summary(*self._summary())
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        settings, metrics = self.about.get("settings", {}), self.about.get("metrics", {}).get("test", {})
+        objective = settings.get("fit", {}).get("objective", {}).get("name", "")
+        shown = ("straightness", "midpoint_error", "decoded_error")
+        return f"Embedding of states of {self.state_dim} numbers in z of {self.z_dim} numbers", {
+            "reads": ", ".join(self.inputs.names),
+            "inputs": self.inputs.form,
+            "problem": self.about.get("problem") or "",
+            "objective": objective,
+            "preset": self.about.get("preset", ""),
+            "seed": f"{self.about['seed']} of {', '.join(map(str, settings.get('seeds', [])))}"
+            if "seed" in self.about
+            else "",
+            "test split": ", ".join(f"{n.replace('_', ' ')} {metrics[n]:.3f}" for n in shown if n in metrics),
+        }
 
     @property
     def hash(self) -> str:
-        """SHA-256 of what it computes: inputs and weights, whatever is said about it."""
+        """SHA-256 of inputs and weights; `about` does not matter."""
         digest = hashlib.sha256(
             repr(
                 (self.inputs.names, self.inputs.circular_columns, self.inputs.form, self.sigma_floor)
             ).encode()
         )
-        for name, array in sorted(self._arrays().items()):
+        for name, array in sorted(self.arrays().items()):
             digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
@@ -325,137 +216,29 @@ class Embedding:
             )
         return states
 
-    def _arrays(self) -> Arrays:
-        arrays = {"mean": self.inputs.mean, "deviation": self.inputs.deviation}
-        if self.turn is not None:
-            arrays |= {"turn.matrix": self.turn.matrix, "turn.centre": self.turn.centre}
+    def arrays(self) -> Arrays:
+        """Inputs and weights by their names in files."""
+        arrays = {"mean": self.inputs.mean, "deviation": self.inputs.std}
+        if self.linear_map is not None:
+            arrays |= {"turn.matrix": self.linear_map.matrix, "turn.centre": self.linear_map.centre}
         for name, (weights, biases) in (("encoder", self.encoder), ("decoder", self.decoder)):
             for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
         return arrays
 
-    def _saved_arrays(self) -> Arrays:
-        if self.support is None:
-            return self._arrays()
-        return self._arrays() | {"support": self.support.points, "support_scale": self.support.scale}
-
-
-def load_embedding(path: str | Path) -> Embedding:
-    """Loads an embedding saved by `planspace embed` or `Embedding.save`.
-
-    Args:
-        path: its folder.
-
-    Raises:
-        PlanspaceError: not an embedding, a newer schema, or altered since it was saved.
-        UsageError: it is no path.
-    """
-    if not isinstance(path, str | PathLike):
-        raise UsageError(f"an embedding is given by the path of its folder, got {path!r:.60}.")
-    path = Path(path)
-    if not (path / DESCRIPTION).exists():
-        if (path / CONFIG).exists():
-            raise PlanspaceError(f"{path} is being trained, or was interrupted: run the same command again.")
-        if path.name == DESCRIPTION and path.exists():
-            raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
-        raise PlanspaceError(f"{path} is not an embedding: it has no {DESCRIPTION}.")
-    text = read_description(path / DESCRIPTION, kind="embedding", schema=SCHEMA)
-    with reject_malformed(path / DESCRIPTION):
-        embedding = _assembled(path, text)
-        _try_out(embedding, text["z_dim"])
-    return embedding
-
-
-def _assembled(path: Path, text: dict[str, Any]) -> Embedding:
-    if text["architecture"] != ARCHITECTURE:
-        raise PlanspaceError(
-            f"{path / DESCRIPTION} names the architecture {quoted(text['architecture'])}; this planspace "
-            f"knows {ARCHITECTURE!r} alone."
-        )
-    arrays = read_arrays(path / WEIGHTS, sha256=str(text["weights_sha256"]))
-    if any(array.dtype.kind != "f" for array in arrays.values()):
-        raise TypeError("its weights are no floating point numbers")
-    bad = [name for name, array in arrays.items() if not np.isfinite(array).all()]
-    if bad:
-        raise PlanspaceError(f"{path / WEIGHTS}: {bad[0]} holds a number that is not finite.")
-    support = None
-    if "support" in arrays:
-        support = Support(arrays["support"], arrays["support_scale"], float(text["support_radius"]))
-    inputs = {key: text["inputs"][key] for key in ("names", "units", "circular_columns")}
-    if not all(isinstance(name, str) for name in (*inputs["names"], *inputs["units"])):
-        raise TypeError("the names of its inputs are no texts")
-    return Embedding(
-        inputs=Inputs(
-            **{key: tuple(value) for key, value in inputs.items()},
-            form=INPUT_TYPES[INPUT_TYPES.index(text["inputs"]["form"])],
-            mean=arrays["mean"],
-            deviation=arrays["deviation"],
-        ),
-        encoder=_layers(arrays, "encoder"),
-        decoder=_layers(arrays, "decoder"),
-        sigma_floor=float(text["sigma_floor"]),
-        turn=Turn(arrays["turn.matrix"], arrays["turn.centre"]) if "turn.matrix" in arrays else None,
-        support=support,
-        about=dict(text["about"]),
-    )
-
-
-@np.errstate(all="ignore")  # it looks itself whether all is finite
-def _try_out(embedding: Embedding, z_dim: int) -> None:
-    """Sees that the parts fit together, as the description says."""
-    inputs, layers = embedding.inputs, (*embedding.encoder[0], *embedding.decoder[0])
-    angles = inputs.circular_columns
-    if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
-        raise ValueError("an angle is no column of the state")
-    settings = embedding.about.get("settings", {})
-    if "seeds" in settings and embedding.about["seed"] not in list(settings["seeds"]):
-        raise ValueError("its seed is none of those that were trained")
-    if not layers or len(inputs.units) != len(inputs.names) or not (inputs.deviation > 0).all():
-        raise ValueError("its inputs or its networks are not whole")
-    state = np.stack([np.zeros(len(inputs.names)), np.ones(len(inputs.names))])
-    z = embedding.encode(state)
-    decoded = embedding.decode(z)
-    if z.shape != (2, z_dim) or decoded.shape != state.shape:
-        raise ValueError("its networks have other sizes than it says")
-    if not (np.isfinite(z).all() and np.isfinite(decoded).all()):
-        raise ValueError("its networks make of ones what is not finite")
-    if embedding.support is not None:
-        embedding.outside_support(state)
-
-
-def check_numbers(what: str, *arrays: np.ndarray) -> None:
-    """Sees that numbers can be computed with.
-
-    Raises:
-        PlanspaceError: one is not finite, or larger than any that is measured.
-    """
-    if not all((np.abs(array) <= LARGEST).all() for array in arrays):
-        raise PlanspaceError(
-            f"{what} hold a number that is not finite, or beyond {LARGEST:g}: look at the data, or give them "
-            "another unit."
-        )
-
-
-def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    count = sum(key.startswith(f"{name}.") for key in arrays) // 2
-    return (
-        [arrays[f"{name}.{i}.weight"] for i in range(count)],
-        [arrays[f"{name}.{i}.bias"] for i in range(count)],
-    )
-
 
 def norm(x: Float[np.ndarray, "*batch z"]) -> Float[np.ndarray, "*batch"]:
-    """The length of each vector; for a single one three times as fast as `np.linalg.norm`."""
+    """Length of each vector; for a single one three times as fast as `np.linalg.norm`."""
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", x, x)))
 
 
-def _gaussian(
-    x: np.ndarray, layers: tuple[list[np.ndarray], list[np.ndarray]], sigma_floor: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _relu(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 0.0, out=x)
+
+
+def _gaussian(x: np.ndarray, network: Network, sigma_floor: float) -> tuple[np.ndarray, np.ndarray]:
     """`embed.networks.GaussianNetwork` in NumPy."""
-    weights, biases = layers
-    x = x.astype(weights[0].dtype)
-    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        x = np.maximum(x @ weight.T + bias, 0.0)
-    mu, rho = np.split(x @ weights[-1].T + biases[-1], 2, axis=-1)
+    weights, biases = network
+    layers = [(weight.T, bias) for weight, bias in zip(weights, biases, strict=True)]
+    mu, rho = np.split(forward(layers, x.astype(weights[0].dtype), _relu), 2, axis=-1)
     return mu, np.where(rho > 0, rho + 1.0, np.exp(np.minimum(rho, 0.0))) + sigma_floor  # ELU + 1

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 import planspace
-from planspace.embed.embedding import Embedding, Turn
+from planspace.embed.embedding import Embedding, LinearMap
 from planspace.errors import PlanspaceError
 from planspace.storage.files import make_folder, write_bytes
 
@@ -87,12 +87,13 @@ def _build(onnx: ModuleType, embedding: Embedding) -> Any:
     biases = [b.astype(np.float64) for b in embedding.encoder[1]]
     x, order = _features(graph, embedding)
     x = _centred(graph, x, embedding.inputs.mean[order])
-    weights[0] = weights[0][:, order] / embedding.inputs.deviation[order]
+    weights[0] = weights[0][:, order] / embedding.inputs.std[order]
     for i in range(len(weights) - 1):
         x = graph.node("Relu", graph.linear(x, weights[i], biases[i], f"layer{i}"), name=f"relu{i}")
-    z, turn = embedding.z_dim, embedding.turn or Turn(np.eye(embedding.z_dim), np.zeros(embedding.z_dim))
-    matrix = turn.matrix.astype(np.float64)
-    graph.linear(x, matrix.T @ weights[-1][:z], (biases[-1][:z] - turn.centre) @ matrix, OUTPUTS[0])
+    z = embedding.z_dim
+    linear_map = embedding.linear_map or LinearMap(np.eye(z), np.zeros(z))
+    matrix = linear_map.matrix.astype(np.float64)
+    graph.linear(x, matrix.T @ weights[-1][:z], (biases[-1][:z] - linear_map.centre) @ matrix, OUTPUTS[0])
     rho = graph.linear(x, weights[-1][z:], biases[-1][z:], "rho")
     one = graph.constant("one", np.ones(1, np.float32))
     sigma = graph.node("Add", graph.node("Elu", rho, name="elu"), one, name="latent_sigma")
@@ -190,7 +191,7 @@ def _probe_states(embedding: Embedding) -> Float[np.ndarray, "row state"]:
             turns = CHECKED_TURNS * 2 * np.pi
             states[:, column] = rng.uniform(-turns, turns, NUM_CHECKED)
         else:
-            states[:, column] = inputs.mean[place] + inputs.deviation[place] * states[:, column]
+            states[:, column] = inputs.mean[place] + inputs.std[place] * states[:, column]
     return states.astype(np.float32)
 
 

@@ -13,15 +13,7 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.embed.card import model_card
 from planspace.embed.config import PRESETS, FitConfig, update_saved
-from planspace.embed.embedding import (
-    CARD,
-    DESCRIPTION,
-    LOG,
-    Embedding,
-    Inputs,
-    check_numbers,
-    load_embedding,
-)
+from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
     MIN_STATES,
     Geometry,
@@ -32,10 +24,12 @@ from planspace.embed.geometry import (
     paper_path_errors,
     tabulate,
 )
+from planspace.embed.inputs import Inputs, check_numbers
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.embed.objective import Objective, as_objective, summary_of, title_of
-from planspace.embed.principal import principal_turn
+from planspace.embed.principal import principal_map
 from planspace.embed.samples import Samples, make_samples
+from planspace.embed.saved_embedding import CARD, DESCRIPTION, LOG, load_embedding
 from planspace.embed.steps import check_loss
 from planspace.embed.support import Support
 from planspace.embed.training import train
@@ -225,8 +219,8 @@ def _train_seeds(
     def scaled(embedding: Embedding) -> Embedding:
         if config.z_std == 0:
             return embedding
-        how = {"whitening": config.whitening, "deviation": config.z_std}
-        return replace(embedding, turn=principal_turn(embedding, prepared.train_states, **how))
+        how = {"whitening": config.whitening, "std": config.z_std}
+        return replace(embedding, linear_map=principal_map(embedding, prepared.train_states, **how))
 
     def to_embeddings(models: PlanSpaceModel) -> list[Embedding]:
         return [scaled(to_numpy(models, i, prepared.inputs, config)) for i in range(len(seeds))]

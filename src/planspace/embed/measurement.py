@@ -1,69 +1,147 @@
-"""Everything `planspace measure` says of an embedding: geometry by split and beside baselines, and checks."""
+"""Measure an embedding: geometry of each split, baselines and checks. `planspace measure` prints it."""
 
 import zipfile
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
 from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding, check_numbers
+from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
+    Geometry,
+    Interval,
     bootstrap_intervals,
     measure_constant,
     measure_raw_state,
     summarise,
     tabulate,
 )
-from planspace.errors import PlanspaceError
+from planspace.embed.inputs import check_numbers
+from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress
 from planspace.storage.checks import MAX_BYTES, check_file
+from planspace.summary import html_summary, text_summary
 
 TRUTH_KEYS = ("states", "time", "goal")
 SPLITS = ("train", "validation", "test")
 
 
-def assess(embedding: Embedding, demos: Demos, truth: Path | None = None) -> dict[str, Any]:
-    """Measures an embedding on demonstrations in every way there is.
+@dataclass(frozen=True)
+class SplitMeasurement:
+    """The geometry of a set of demonstrations, and of two baselines."""
+
+    embedding: Geometry
+    """The geometry in z."""
+    intervals: Mapping[str, Interval]
+    """The 95 % interval of each metric of z over demonstrations."""
+    raw_state: Geometry
+    """The geometry of the raw state, standardised by the training split."""
+    constant: Geometry
+    """The geometry of a constant z."""
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What the geometry along demonstrations does not show; None if a check does not apply."""
+
+    change_by_a_turn: float | None = None
+    """Largest distance by which z moves if an angle on a circle changes by 2 pi, in standard deviations of z;
+    0 is right."""
+    outside_support: float | None = None
+    """Fraction of the states that lie outside the region that the training demonstrations cover."""
+    true_time_correlation: float | None = None
+    """Spearman correlation of |z - z_goal| with the shortest time to the goal."""
+
+
+@dataclass(frozen=True, repr=False)
+class Measurement:
+    """Everything that is measured of an embedding."""
+
+    splits: Mapping[str, SplitMeasurement]
+    """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`."""
+    checks: Checks = field(default_factory=Checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the measurement as plain data for JSON; checks that do not apply are left out."""
+        checks = {name: value for name, value in asdict(self.checks).items() if value is not None}
+        return {"splits": {name: asdict(part) for name, part in self.splits.items()}, "checks": checks}
+
+    def __repr__(self) -> str:
+        """A few lines: the metrics of the last split, and the checks."""
+        return text_summary(*self._summary())
+
+    def _repr_html_(self) -> str:
+        return html_summary(*self._summary())
+
+    def _summary(self) -> tuple[str, dict[str, str]]:
+        name, part = list(self.splits.items())[-1]
+        z, raw = asdict(part.embedding), asdict(part.raw_state)
+        rows = {
+            metric.replace("_", " "): f"{z[metric]:.3f} ({raw[metric]:.3f})"
+            for metric in ("straightness", "midpoint_error", "time_correlation", "decoded_error")
+        }
+        checks = {n.replace("_", " "): f"{v:.3g}" for n, v in self.to_dict()["checks"].items()}
+        splits = f", {name} split" if name in SPLITS else ""
+        title = f"Measurement on {z['num_demos']} demonstrations{splits}: z (raw state)"
+        return title, rows | checks
+
+
+class Truth(NamedTuple):
+    """Shortest times to a goal."""
+
+    states: Float[np.ndarray, "row state"]
+    time: Float[np.ndarray, " row"]
+    """The shortest time from each state to the goal [s]."""
+    goal: Float[np.ndarray, " state"]
+
+
+def measure_embedding(
+    embedding: Embedding, demos: Demos, *, truth: str | Path | Truth | None = None
+) -> Measurement:
+    """Measure an embedding on demonstrations.
 
     Args:
-        embedding: what to measure.
-        demos: the demonstrations; if it was trained on them, each split is measured by itself.
-        truth: an .npz with `states` [n, state], the least `time` [n] from each to the goal, in seconds, and
-            `goal` [state]; the columns are those of the demonstrations.
-
-    Returns:
-        For each split, each metric of `Geometry` of z with its 95 % interval over demonstrations, of the raw
-        state (standardised by the training split, or by these demonstrations) and of a constant z; and
-        `checks`: see there.
+        embedding: the embedding.
+        demos: the demonstrations; if it was trained on them, each split is measured separately.
+        truth: shortest times to a goal, or an .npz with `states` [n, state], `time` [n] and `goal` [state];
+            the columns are those of the demonstrations.
 
     Raises:
-        PlanspaceError: the demonstrations lack a state the embedding reads, numbers are too large to be
-            computed with, or `truth` or the embedding's own split does not fit.
+        PlanspaceError: the demonstrations lack a state that the embedding reads, numbers are too large to
+            compute with, or `truth` or the embedding's own split does not fit.
     """
     used = demos.select(embedding.inputs.names)
     check_numbers("the demonstrations' states", used.states)
-    with np.errstate(over="ignore", invalid="ignore"):  # whether all is finite is seen here
+    with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
         z = embedding.encode(used.states)
         check_numbers("z of these states, or the states decoded from it,", z, embedding.decode(z))
     splits = split_of(embedding, demos)
     reference = splits.get("train", np.arange(len(demos)))
-    found = {"splits": {}, "checks": checks(embedding, used, truth, demos.info.names)}
+    if truth is not None:
+        truth = (
+            check_truth(truth, demos.info.names)
+            if isinstance(truth, Truth)
+            else load_truth(Path(truth), demos.info.names)
+        )
+    checks = run_checks(embedding, used, truth, demos.info.names)
+    measured: dict[str, SplitMeasurement] = {}
     with progress("measure", len(splits), unit="split") as bar:
         for name, part in splits.items():
-            found["splits"][name] = _beside(embedding, used, part, reference)
+            measured[name] = _measure_split(embedding, used, part, reference)
             bar.update()
-    return found
+    return Measurement(measured, checks)
 
 
 def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
-    """The splits it was trained with, if these are its demonstrations; otherwise `all`.
+    """Return the splits of the training if these are its demonstrations; otherwise one split, `all`.
 
     Raises:
-        PlanspaceError: they are, but what it says of the splits cannot be.
+        PlanspaceError: they are, but the splits that the embedding records are not possible.
     """
     about = embedding.about
     if "split" not in about or about.get("settings", {}).get("demos") != demos.hash:
@@ -72,40 +150,37 @@ def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
         splits = {name: np.array(about["split"][name], dtype=int).ravel() for name in SPLITS}
     except (KeyError, TypeError, ValueError, OverflowError):
         splits = {name: np.empty(0, dtype=int) for name in SPLITS}
-    dealt = np.sort(np.concatenate(list(splits.values())))
-    if not np.array_equal(dealt, np.arange(len(demos))) or not all(map(len, splits.values())):
+    assigned = np.sort(np.concatenate(list(splits.values())))
+    if not np.array_equal(assigned, np.arange(len(demos))) or not all(map(len, splits.values())):
         raise PlanspaceError(
-            f"the embedding says it was trained on these {len(demos)} demonstrations, but does not deal each "
-            f"of them to one of {', '.join(SPLITS)}: its file was altered. Train it anew."
+            f"the embedding was trained on these {len(demos)} demonstrations, but its file does not assign "
+            f"each of them to one of {', '.join(SPLITS)}: the file was altered. Train the embedding again."
         )
     return splits
 
 
-def checks(
-    embedding: Embedding, demos: Demos, truth: Path | None, columns: tuple[str, ...]
-) -> dict[str, float]:
-    """What geometry along demonstrations does not see.
+def run_checks(embedding: Embedding, demos: Demos, truth: Truth | None, columns: tuple[str, ...]) -> Checks:
+    """Run the checks that apply.
 
-    Returns:
-        `change_by_a_turn`: how far z moves, in its deviation, when an angle on a circle is turned by 2 pi
-        (0 is right), at most over all states and angles; `outside_support`: share of the states where z is a
-        guess; `true_time_correlation`: Spearman of |z - z_goal| with the least time to the goal. What does
-        not apply is left out.
+    Args:
+        embedding: the embedding.
+        demos: demonstrations with the states that the embedding reads.
+        truth: shortest times to a goal, if they are known.
+        columns: the columns of `truth`.
     """
-    found = {}
     z = embedding.encode(demos.states)
+    change = outside = correlation = None
     circles = embedding.inputs.circular_columns
     if circles:
         turn = 2 * np.pi * np.eye(demos.states.shape[1])
         moved = [np.linalg.norm(embedding.encode(demos.states + turn[c]) - z, axis=1).max() for c in circles]
-        found["change_by_a_turn"] = float(max(moved) / np.linalg.norm(z.std(axis=0)))
+        change = float(max(moved) / np.linalg.norm(z.std(axis=0)))
     if embedding.support is not None:
-        found["outside_support"] = float(embedding.outside_support(demos.states).mean())
+        outside = float(embedding.outside_support(demos.states).mean())
     if truth is not None:
-        states, time, goal = load_truth(truth, columns)
         read = list(embedding.columns_of(columns))
-        found["true_time_correlation"] = true_time_correlation(embedding, states[:, read], time, goal[read])
-    return found
+        correlation = true_time_correlation(embedding, truth.states[:, read], truth.time, truth.goal[read])
+    return Checks(change, outside, correlation)
 
 
 def true_time_correlation(
@@ -114,45 +189,57 @@ def true_time_correlation(
     time: Float[np.ndarray, " row"],
     goal: Float[np.ndarray, " state"],
 ) -> float:
-    """Spearman correlation of |z - z_goal| with the least time to the goal."""
+    """Spearman correlation of |z - z_goal| with the shortest time to the goal."""
     return float(scipy.stats.spearmanr(embedding.distance(states, goal), time).statistic)
 
 
-def load_truth(path: Path, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States, least times to the goal [s], and the goal, from an .npz.
+def load_truth(path: Path, columns: tuple[str, ...]) -> Truth:
+    """Load shortest times to a goal from an .npz with `states`, `time` and `goal`.
 
     Raises:
-        PlanspaceError: it cannot be read, lacks an array, or sizes do not fit.
+        PlanspaceError: the file cannot be read, lacks an array, or has arrays of the wrong shape.
     """
     check_file(path, most=MAX_BYTES, may_be_link=True)
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {key: np.asarray(file[key], dtype=float) for key in TRUTH_KEYS}
+            truth = Truth(*(np.asarray(file[key], dtype=float) for key in TRUTH_KEYS))
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
         raise PlanspaceError(
-            f"{path} is no .npz with `states`, `time` and `goal`: {' '.join(str(error).split())}"
+            f"{path} is not an .npz with `states`, `time` and `goal`: {' '.join(str(error).split())}"
         ) from None
-    states, time, goal = arrays["states"], arrays["time"], arrays["goal"]
+    try:
+        return check_truth(truth, columns)
+    except UsageError as error:
+        raise PlanspaceError(f"{path}: {error}") from error
+
+
+def check_truth(truth: Truth, columns: tuple[str, ...]) -> Truth:
+    """Check shapes and numbers of shortest times, and return them.
+
+    Raises:
+        UsageError: an array has the wrong shape, a number is not finite, or all times are equal.
+    """
+    states, time, goal = truth
     n = len(columns)
     if time.ndim != 1 or states.shape != (len(time), n) or goal.shape != (n,):
-        raise PlanspaceError(
-            f"{path}: `states` must be [n, {n}] ({', '.join(columns)}), `time` [n] and `goal` [{n}]; got "
+        raise UsageError(
+            f"`states` must be [n, {n}] ({', '.join(columns)}), `time` [n] and `goal` [{n}]; got "
             f"{states.shape}, {time.shape} and {goal.shape}."
         )
-    if not all(np.isfinite(a).all() for a in arrays.values()):
-        raise PlanspaceError(f"{path} holds a number that is not finite.")
+    if not all(np.isfinite(a).all() for a in truth):
+        raise UsageError("the shortest times contain a number that is not finite.")
     if len(np.unique(time)) < 2:
-        raise PlanspaceError(f"{path}: `time` needs two different times at least, to be correlated with.")
-    return states, time, goal
+        raise UsageError("`time` needs at least two different times for a correlation.")
+    return truth
 
 
-def _beside(
+def _measure_split(
     embedding: Embedding, demos: Demos, part: Int[np.ndarray, " demo"], reference: np.ndarray
-) -> dict[str, Any]:
+) -> SplitMeasurement:
     table = tabulate(embedding, demos, part)
-    return {
-        "embedding": asdict(summarise(table)),
-        "intervals": bootstrap_intervals(table),
-        "raw_state": asdict(measure_raw_state(demos, part, reference)),
-        "constant": asdict(measure_constant(demos, part)),
-    }
+    return SplitMeasurement(
+        summarise(table),
+        bootstrap_intervals(table),
+        measure_raw_state(demos, part, reference),
+        measure_constant(demos, part),
+    )

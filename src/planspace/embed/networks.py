@@ -9,6 +9,7 @@ import jax.random as jr
 from jaxtyping import Array, Float, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
+from planspace.embed.mlp import forward
 
 ROUNDED_BELOW = -10.0
 """In float32, exp(x) - 1 + 1 has lost three digits there, and is 0 from -17 on."""
@@ -17,7 +18,7 @@ ROUNDED_BELOW = -10.0
 class GaussianNetwork(eqx.Module):
     """A ReLU network whose output is a diagonal Gaussian.
 
-    The mean is linear; the deviation is ELU + 1 (equation 12) plus a floor, which is 0 in the paper.
+    The mean is linear; the standard deviation is ELU + 1 (equation 12) plus a floor, which is 0 in the paper.
     Weights are Glorot-uniform and biases zero, as in the 2020 code.
     """
 
@@ -28,18 +29,18 @@ class GaussianNetwork(eqx.Module):
     def __init__(
         self, num_in: int, num_out: int, hidden: Sequence[int], sigma_floor: float, *, key: Key[Array, ""]
     ):
-        """Draws fresh weights."""
+        """Draw fresh weights."""
         self.weights, self.biases = _layers((num_in, *hidden, 2 * num_out), key)
         self.sigma_floor = sigma_floor
 
     def __call__(self, x: Float[Array, " in"]) -> DiagonalGaussian:
-        """The Gaussian for one input."""
+        """Compute the Gaussian for one input."""
         mu, rho = jnp.split(_forward(self.weights, self.biases, x), 2)
-        return DiagonalGaussian(mu, _deviation(rho) + self.sigma_floor)
+        return DiagonalGaussian(mu, _positive(rho) + self.sigma_floor)
 
 
 class Transition(eqx.Module):
-    """z one step on: A(z) z + B(z) u + o(z) with A = I + v r^T (Watter et al. 2015, section 2.4)."""
+    """The next z: A(z) z + B(z) u + o(z) with A = I + v r^T (Watter et al. 2015, section 2.4)."""
 
     weights: list[Float[Array, "out in"]]
     biases: list[Float[Array, " out"]]
@@ -47,14 +48,14 @@ class Transition(eqx.Module):
     num_controls: int = eqx.field(static=True)
 
     def __init__(self, z_dim: int, num_controls: int, hidden: Sequence[int], *, key: Key[Array, ""]):
-        """Draws fresh weights."""
+        """Draw fresh weights."""
         self.weights, self.biases = _layers((z_dim, *hidden, (3 + num_controls) * z_dim), key)
         self.z_dim, self.num_controls = z_dim, num_controls
 
     def __call__(
         self, z: Float[Array, " z"], q: DiagonalGaussian, control: Float[Array, " control"]
     ) -> DiagonalGaussian:
-        """The distribution of the next z, with the dynamics taken at a sample z of q."""
+        """Compute the distribution of the next z, with the dynamics at a sample z of q."""
         v, r, offset, *b = jnp.split(_forward(self.weights, self.biases, z), 3 + self.num_controls)
         a = jnp.eye(self.z_dim) + jnp.outer(v, r)
         mu = a @ q.mu + jnp.stack(b, axis=1) @ control + offset
@@ -62,7 +63,7 @@ class Transition(eqx.Module):
 
 
 class PlanSpaceModel(eqx.Module):
-    """All that is learned, over the inputs the embedding's features make of a state."""
+    """Everything that is trained. Its inputs are those that `Inputs` computes from a state."""
 
     encode: GaussianNetwork
     """q(z|x)."""
@@ -83,7 +84,7 @@ class PlanSpaceModel(eqx.Module):
         num_controls: int = 0,
         key: Key[Array, ""],
     ):
-        """Draws fresh weights; the floor holds for the decoder's deviation alone."""
+        """Draw fresh weights; the floor applies to the decoder's standard deviation only."""
         encode_key, decode_key, transition_key = jr.split(key, 3)
         self.encode = GaussianNetwork(num_inputs, z_dim, hidden, 0.0, key=encode_key)
         self.decode = GaussianNetwork(z_dim, num_inputs, hidden, sigma_floor, key=decode_key)
@@ -107,12 +108,11 @@ def _layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], lis
     return weights, [jnp.zeros(b) for b in sizes[1:]]
 
 
-def _deviation(rho: Array) -> Array:
-    """ELU + 1 (equation 12); below 0 that is exp, as which it is computed where the sum would round to 0."""
+def _positive(rho: Array) -> Array:
+    """ELU + 1 (equation 12). Below 0 it equals exp, which is used where the sum would round to 0."""
     return jnp.where(rho < ROUNDED_BELOW, jnp.exp(jnp.minimum(rho, 0.0)), jax.nn.elu(rho) + 1.0)
 
 
 def _forward(weights: list[Array], biases: list[Array], x: Array) -> Array:
-    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        x = jax.nn.relu(x @ weight.T + bias)
-    return x @ weights[-1].T + biases[-1]
+    layers = [(weight.T, bias) for weight, bias in zip(weights, biases, strict=True)]
+    return forward(layers, x, jax.nn.relu)

@@ -21,7 +21,8 @@ from planspace.seams import check_fits, name_of
 if TYPE_CHECKING:
     from jax import Array
 
-    from planspace.embed.embedding import Embedding, Inputs
+    from planspace.embed.embedding import Embedding
+    from planspace.embed.inputs import Inputs
     from planspace.embed.networks import PlanSpaceModel
     from planspace.embed.samples import Sample
 else:  # importing their modules would import JAX

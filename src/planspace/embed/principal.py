@@ -1,17 +1,18 @@
-"""Linear maps in closed form: principal components as an embedding, and z turned to its own."""
+"""Linear maps in closed form: principal components as an embedding, and as axes of a trained z."""
 
 import numpy as np
 from jaxtyping import Float
 
-from planspace.embed.embedding import Embedding, Inputs, Turn
+from planspace.embed.embedding import Embedding, LinearMap
+from planspace.embed.inputs import Inputs
 from planspace.errors import PlanspaceError
 
 SMALLEST = 1e-8
-"""Variances below this share of the largest are not blown up."""
+"""Variances below this fraction of the largest are not scaled up."""
 
 
 def principal_components(inputs: Inputs, states: Float[np.ndarray, "row state"], z_dim: int) -> Embedding:
-    """The first principal components of the inputs, and the least-squares way back.
+    """Compute the first principal components of the inputs, and their least-squares inverse.
 
     Args:
         inputs: what the encoder sees of a state.
@@ -24,13 +25,13 @@ def principal_components(inputs: Inputs, states: Float[np.ndarray, "row state"],
     x = inputs(states)
     if z_dim > x.shape[1]:
         raise PlanspaceError(
-            f"{x.shape[1]} inputs have no {z_dim} principal components; choose a smaller z or "
+            f"{x.shape[1]} inputs do not have {z_dim} principal components; choose a smaller --z-dim or "
             "another objective."
         )
     mean = x.mean(axis=0)
     _, _, directions = np.linalg.svd(x - mean, full_matrices=False)
     v = directions[:z_dim]
-    encoder = np.concatenate([v, np.zeros_like(v)])  # mu, then rho = 0: a deviation of 1
+    encoder = np.concatenate([v, np.zeros_like(v)])  # mu, then rho = 0: a standard deviation of 1
     decoder = np.concatenate([v.T, np.zeros_like(v.T)])
     return Embedding(
         inputs,
@@ -40,22 +41,22 @@ def principal_components(inputs: Inputs, states: Float[np.ndarray, "row state"],
     )
 
 
-def principal_turn(
-    embedding: Embedding, states: Float[np.ndarray, "row state"], *, whitening: float, deviation: float
-) -> Turn:
-    """The map of z to its principal directions, the greatest first, partly whitened and scaled.
+def principal_map(
+    embedding: Embedding, states: Float[np.ndarray, "row state"], *, whitening: float, std: float
+) -> LinearMap:
+    """Compute the map of z to its principal directions, the largest first, partly whitened and scaled.
 
     Args:
-        embedding: what makes z; not turned yet.
+        embedding: the embedding, without a linear map.
         states: the training states.
-        whitening: a direction of deviation s over them gets s^(1 - whitening).
-        deviation: the root mean square of the deviations afterwards.
+        whitening: a direction with standard deviation s over these states gets s^(1 - whitening).
+        std: root mean square of the standard deviations afterwards.
     """
     mu = embedding.encode(states)
     centre = mu.mean(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((mu - centre).T)))
     values, vectors = np.maximum(values[::-1], SMALLEST * max(values.max(), SMALLEST)), vectors[:, ::-1]
     after = values ** ((1 - whitening) / 2)
-    scale = deviation / np.sqrt(np.mean(after**2))
+    scale = std / np.sqrt(np.mean(after**2))
     matrix = scale * vectors * values ** (-whitening / 2)
-    return Turn(matrix.astype(np.float32), centre.astype(np.float32))
+    return LinearMap(matrix.astype(np.float32), centre.astype(np.float32))

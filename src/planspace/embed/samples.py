@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from planspace.demos.dataset import Demos
 from planspace.embed.config import FitConfig
-from planspace.embed.embedding import Inputs
+from planspace.embed.inputs import Inputs
 from planspace.embed.objective import PAGE, Objective, title_of
 from planspace.embed.triplet_source import Triplets, TripletSource
 from planspace.errors import PlanspaceError, UsageError, quoted

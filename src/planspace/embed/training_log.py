@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
-from planspace.embed.embedding import LOG
+from planspace.embed.saved_embedding import LOG
 from planspace.errors import PlanspaceError
 from planspace.storage.files import read_bytes
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.vector import VectorWrapper
 
-from planspace.embed.embedding import Embedding, load_embedding
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 
 if TYPE_CHECKING:
     VectorWrapperBase = VectorWrapper[Any, Any, Any, Any, Any]

@@ -6,8 +6,9 @@ import matplotlib.figure
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import LOG, Embedding
+from planspace.embed.embedding import Embedding
 from planspace.embed.measurement import split_of
+from planspace.embed.saved_embedding import LOG
 from planspace.embed.training_log import read_log
 from planspace.figures.distance import plot_distance_against_time
 from planspace.figures.interactive_paths import MAX_INTERACTIVE, paths_html

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planspace.embed.embedding import DESCRIPTION, Embedding
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import DESCRIPTION
 from planspace.rl.arm import Arm
 from planspace.rl.history import finite_or_none
 from planspace.rl.normalise import ObsStatistics

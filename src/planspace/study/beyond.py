@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from planspace.embed.config import PRESETS
-from planspace.embed.embedding import InputType
+from planspace.embed.inputs import InputType
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import ShapingType, TrainConfig
 from planspace.study.design import BLOCK, Arm, Builder, Claim, Study, panel_of

@@ -19,8 +19,9 @@ import numpy as np
 
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
-from planspace.embed.embedding import Embedding, load_embedding
+from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.figures.projection import principal_components

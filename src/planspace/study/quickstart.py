@@ -11,8 +11,8 @@ import planspace
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
-from planspace.embed.embedding import DESCRIPTION
 from planspace.embed.fit import fit_embedding
+from planspace.embed.saved_embedding import DESCRIPTION
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
