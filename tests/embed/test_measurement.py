@@ -29,9 +29,7 @@ def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding
 
 def test_a_measurement_is_shown_in_a_few_lines(embedding: Embedding, demos: Demos) -> None:
     found = measure_embedding(embedding, demos)
-    assert repr(found).startswith(
-        "Measurement on 1 demonstrations, test split: z (raw state)\n  straightness "
-    )
+    assert repr(found).startswith("Measurement on 1 demonstrations, test split: z (raw state)\n")
     assert "change by a turn" in repr(found) and len(repr(found).splitlines()) <= 10
     assert "<table><caption>Measurement on" in found._repr_html_()
 
@@ -117,7 +115,7 @@ SPLITS = {
 @pytest.mark.parametrize("lie", SPLITS)
 def test_splits_that_cannot_be(lie: str, embedding: Embedding, demos: Demos) -> None:
     SPLITS[lie](embedding.about)
-    with pytest.raises(PlanspaceError, match="does not deal each of them to one of train, validation, test"):
+    with pytest.raises(PlanspaceError, match="does not assign each of them to one of train, validation, test"):
         measure_embedding(embedding, demos)
 
 
@@ -133,7 +131,6 @@ def test_numbers_too_large_to_be_measured_are_refused(embedding: Embedding, demo
         measure_embedding(embedding, replace(demos, states=states))
     states[3] = 0.99e15  # of a state that can be, but not what is made of it
     weights = [weight * np.float32(1e15) for weight in embedding.encoder[0]]
+    scaled = replace(embedding, encoder=(weights, embedding.encoder[1]))
     with pytest.raises(PlanspaceError, match="z of these states, or .* contain a number"):
-        measure_embedding(
-            replace(embedding, encoder=(weights, embedding.encoder[1])), replace(demos, states=states)
-        )
+        measure_embedding(scaled, replace(demos, states=states))

@@ -23,7 +23,7 @@ def test_principal_components_of_a_tilted_plane(rng: np.random.Generator) -> Non
 
 def test_more_components_than_inputs_are_refused() -> None:
     inputs = Inputs(("a",), ("",), (), "raw", np.zeros(1), np.ones(1))
-    with pytest.raises(PlanspaceError, match="1 inputs have no 3 principal components"):
+    with pytest.raises(PlanspaceError, match="1 inputs do not have 3 principal components"):
         principal_components(inputs, np.arange(9.0)[:, None], 3)
 
 

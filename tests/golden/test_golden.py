@@ -37,13 +37,13 @@ def test_what_was_written_is_read(folder: Path) -> None:
 def test_there_is_one_of_the_present_schemas() -> None:
     """A schema that changes needs a new folder: python -m tests.golden.make tests/golden/YEAR-MONTH"""
     from planspace.demos import manifest
-    from planspace.embed import embedding
+    from planspace.embed import saved_embedding
     from planspace.rl import saved_policy
     from planspace.study import execute
 
     wanted = {
         "demos/manifest.json": manifest.SCHEMA,
-        "embedding/embedding.json": embedding.SCHEMA,
+        "embedding/embedding.json": saved_embedding.SCHEMA,
         "run/policies.json": saved_policy.SCHEMA,
     }
     newest = FOLDERS[-1]

@@ -47,7 +47,7 @@ def repair(folder: Path) -> list[str]:
 
 def _checks() -> tuple[Check, ...]:
     from planspace.demos.manifest import MANIFEST
-    from planspace.embed import embedding
+    from planspace.embed import saved_embedding
     from planspace.rl import history, saved_policy
     from planspace.storage import checkpoint
     from planspace.storage.arrays import read_arrays
@@ -55,9 +55,9 @@ def _checks() -> tuple[Check, ...]:
 
     return (
         Check(
-            embedding.DESCRIPTION,
+            saved_embedding.DESCRIPTION,
             unreadable(lambda file: embedding.load_embedding(file.parent)),
-            set_aside_with=(embedding.WEIGHTS,),
+            set_aside_with=(saved_embedding.WEIGHTS,),
         ),
         Check(
             saved_policy.DESCRIPTION,
