@@ -56,15 +56,15 @@ def set_infinite(arrays: dict[str, Any]) -> None:
 
 
 WEIGHTS: dict[str, tuple[Change, str]] = {
-    "NaN": (set_nan, "encoder.0.weight holds a number that is not finite"),
-    "infinite": (set_infinite, "decoder.0.bias holds a number that is not finite"),
+    "NaN": (set_nan, "encoder.0.weight contains a number that is not finite"),
+    "infinite": (set_infinite, "decoder.0.bias contains a number that is not finite"),
     "missing": (lambda a: a.pop("encoder.1.weight"), "is invalid"),
-    "no networks": (lambda a: [a.pop(k) for k in list(a) if "coder" in k], "not whole"),
+    "no networks": (lambda a: [a.pop(k) for k in list(a) if "coder" in k], "are incomplete"),
     "too large a layer": (lambda a: a.update({"encoder.0.weight": np.ones((900, 7))}), "is invalid"),
-    "zero standard deviation": (lambda a: a.update(deviation=0 * a["deviation"]), "not whole"),
-    "wrong type": (lambda a: a.update(mean=a["mean"].astype(bool)), "is invalid|not whole"),
-    "too large to encode with": (lambda a: a["encoder.0.weight"].fill(1e38), "what is not finite"),
-    "too large to decode with": (lambda a: a["decoder.0.weight"].fill(1e38), "what is not finite"),
+    "zero standard deviation": (lambda a: a.update(deviation=0 * a["deviation"]), "are incomplete"),
+    "wrong type": (lambda a: a.update(mean=a["mean"].astype(bool)), "is invalid|are incomplete"),
+    "too large to encode with": (lambda a: a["encoder.0.weight"].fill(1e38), "numbers that are not finite"),
+    "too large to decode with": (lambda a: a["decoder.0.weight"].fill(1e38), "numbers that are not finite"),
 }
 
 
@@ -88,11 +88,11 @@ DESCRIPTIONS: dict[str, tuple[Change, str]] = {
     "numbers as names": (lambda d: d["inputs"].update(names=[1, 2, 3, 4]), "is invalid"),
     "angle in a column that does not exist": (
         lambda d: d["inputs"].update(circular_columns=[-9]),
-        "no column",
+        "not a column",
     ),
     "no inputs": (lambda d: d.pop("inputs"), "is invalid"),
-    "another size": (lambda d: d.update(z_dim=10**9), "other sizes than it says"),
-    "another seed": (lambda d: d["about"].update(seed=99), "seed is none of those"),
+    "another size": (lambda d: d.update(z_dim=10**9), "the sizes of its networks are not as it says"),
+    "another seed": (lambda d: d["about"].update(seed=99), "its seed was not trained"),
 }
 
 
