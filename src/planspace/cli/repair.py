@@ -56,7 +56,7 @@ def _checks() -> tuple[Check, ...]:
     return (
         Check(
             saved_embedding.DESCRIPTION,
-            unreadable(lambda file: embedding.load_embedding(file.parent)),
+            unreadable(lambda file: saved_embedding.load_embedding(file.parent)),
             set_aside_with=(saved_embedding.WEIGHTS,),
         ),
         Check(
