@@ -115,9 +115,7 @@ SPLITS = {
 @pytest.mark.parametrize("lie", SPLITS)
 def test_splits_that_cannot_be(lie: str, embedding: Embedding, demos: Demos) -> None:
     SPLITS[lie](embedding.about)
-    with pytest.raises(
-        PlanspaceError, match="does not assign each of them to one of"
-    ):
+    with pytest.raises(PlanspaceError, match="does not assign each of them to one of"):
         measure_embedding(embedding, demos)
 
 
