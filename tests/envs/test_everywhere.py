@@ -1,4 +1,4 @@
-"""Every task, bare and wrapped, where Gymnasium and Stable-Baselines3 may take it."""
+"""Every task, bare and wrapped, in the checkers and vector environments of Gymnasium and SB3."""
 
 import copy
 import pickle
@@ -29,7 +29,7 @@ Maker = Callable[..., gymnasium.Env]
 
 @pytest.fixture(scope="module")
 def embeddings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """An embedding of every task's state, its weights drawn at random."""
+    """An embedding with random weights for every task."""
     folder, rng = tmp_path_factory.mktemp("embeddings"), np.random.default_rng(0)
     for task in TASKS.values():
         space = task.compile()[1]
@@ -94,8 +94,9 @@ def test_copies_and_specs_are_the_same_environment(make: Maker, task: Task, kind
         assert got[1:4] == wanted[1:4]
 
 
+@pytest.mark.slow
 @every("augment")
-def test_gymnasiums_vector_environments_take_the_spec(make: Maker, task: Task, kind: str) -> None:
+def test_gymnasiums_vector_environments_work_with_the_spec(make: Maker, task: Task, kind: str) -> None:
     spec = make(task, kind).spec
     assert spec is not None
     sync = gymnasium.make_vec(spec, num_envs=2, vectorization_mode="sync")

@@ -82,25 +82,25 @@ def test_it_can_be_normalised_seeded_drawn_and_started_anywhere(embedding: Embed
     env.close()
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_misfits_are_refused() -> None:
     slow = gymnasium.make_vec(BALANCE, num_envs=2, vectorization_mode="vector_entry_point")
-    with pytest.raises(UsageError, match="take autoreset_mode='SameStep', not"):
+    with pytest.raises(UsageError, match="SB3 needs environments with autoreset_mode='SameStep', got"):
         GymnasiumVecEnv(slow)
-    with pytest.raises(UsageError, match="Pendulum-v1 has no vector environment of its own; use SB3's"):
+    with pytest.raises(UsageError, match="Pendulum-v1 has no vector environment; use SB3's own"):
         make_vec_env("Pendulum-v1")
     env = make_vec_env(BALANCE, 2)
-    with pytest.raises(UsageError, match="have no method jump of their own"):
+    with pytest.raises(UsageError, match="cannot call jump: the vector environment has no single"):
         env.env_method("jump")
-    with pytest.raises(UsageError, match="share obs; set it for all"):
+    with pytest.raises(UsageError, match="all environments share obs: set it without indices"):
         env.set_attr("obs", "trig", indices=0)
     env.set_options({"speed": 3})
-    with pytest.raises(UsageError, match="can be given a state to start from, nothing else"):
+    with pytest.raises(UsageError, match="the only option is a start state for every environment"):
         env.reset()
     env.reset()  # the options are gone
     assert make_vec_env("planspace:planspace/CartPole-v0").venv.env.spec.to_json()  # pyright: ignore
 
 
-def test_any_vector_environment_of_gymnasium_serves() -> None:
+def test_any_vector_environment_of_gymnasium_works() -> None:
     from gymnasium.vector import AutoresetMode
 
     plain = SyncVectorEnv([lambda: gymnasium.make("Pendulum-v1")] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
@@ -109,7 +109,7 @@ def test_any_vector_environment_of_gymnasium_serves() -> None:
     assert env.step(np.zeros((2, 1), np.float32))[1].shape == (2,)
 
 
-def test_without_sb3_one_line_says_what_to_install() -> None:
+def test_without_sb3_the_error_names_the_package() -> None:
     code = "import sys; sys.modules['stable_baselines3'] = None; import planspace.envs.sb3"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "PlanspaceError: Stable-Baselines3 is not installed: pip install 'planspace[sb3]'" in done.stderr

@@ -14,12 +14,12 @@ IDS = [task.env_id for task in TASKS.values()]
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_the_spec_says_how_long_an_episode_is(env_id: str) -> None:
+def test_the_spec_has_the_horizon(env_id: str) -> None:
     env = gymnasium.make(env_id)
     assert env.spec is not None and env.spec.max_episode_steps == env.unwrapped.task.horizon  # pyright: ignore
 
 
-def test_gymnasium_can_import_the_module_by_itself() -> None:
+def test_gymnasium_imports_planspace_by_the_id() -> None:
     assert gymnasium.make("planspace:planspace/CartPole-v0").spec is not None
 
 
@@ -31,7 +31,7 @@ def test_reward_of_the_swing_up_by_hand() -> None:
     np.testing.assert_allclose(reward(after, after, control, np.empty((3, 0))), [0.95, -3.9, -0.4])
 
 
-def test_what_2020_paid_by_hand() -> None:
+def test_the_reward_of_2020_by_hand() -> None:
     reward = TASKS["cartpole-swingup"].reward_2020
     assert reward is not None
     after = np.array([[0, 3.0, 0, 0], [0, -3.0, 0, 0], [0, 2 * np.pi - 0.5, 0, 0]])
@@ -40,7 +40,7 @@ def test_what_2020_paid_by_hand() -> None:
     np.testing.assert_allclose(reward(after, after, np.array([[0], [10], [0]]), np.empty((3, 0))), expected)
 
 
-def test_2020_pushed_without_limit_and_charged_for_it() -> None:
+def test_the_reward_of_2020_comes_without_control_limits() -> None:
     states, rewards = [], []
     for force in (3.0, 6.0):
         for form in ("dense", "2020"):
@@ -51,7 +51,7 @@ def test_2020_pushed_without_limit_and_charged_for_it() -> None:
             states.append(info["state"])
             rewards.append(float(reward))
     np.testing.assert_array_equal(states[0], states[1])
-    np.testing.assert_array_equal(states[0], states[2])  # ours is clipped
+    np.testing.assert_array_equal(states[0], states[2])  # the dense reward clips it
     assert states[3][2] > 1.9 * states[0][2]
     assert rewards[0] == rewards[1] == rewards[2]
     assert rewards[3] - rewards[0] == pytest.approx(-0.1 * (36 - 9), abs=0.1)
@@ -68,7 +68,7 @@ def test_reward_of_the_reacher_by_hand() -> None:
     np.testing.assert_allclose(reward(before, after, np.array([[1.0, 0.5]]), target), [-0.235])
 
 
-def test_fingertip_is_where_mujoco_has_it(rng: np.random.Generator) -> None:
+def test_fingertip_equals_mujocos(rng: np.random.Generator) -> None:
     import mujoco
 
     model, space = TASKS["reacher-raw"].compile()
@@ -114,7 +114,7 @@ def test_starts_of_a_rotation_have_length_one(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_sparse_pays_at_the_goal_alone(env_id: str) -> None:
+def test_sparse_reward_is_paid_only_at_the_goal(env_id: str) -> None:
     env = gymnasium.make(env_id, reward="sparse")
     env.reset(seed=0)
     task = env.unwrapped.task  # pyright: ignore
@@ -161,7 +161,7 @@ def test_physics_is_a_plain_loop_of_mj_step(env_id: str) -> None:
             break
 
 
-def test_the_applied_control_is_what_is_charged() -> None:
+def test_the_reward_charges_the_clipped_control() -> None:
     batch = TaskBatch(TASKS["cartpole-swingup"], 2, threads=1)
     batch.reset(np.zeros((2, 4)), np.empty((2, 0)))
     reward, _, _ = batch.step(np.array([[3.0], [1e6]]))
@@ -182,11 +182,11 @@ def test_balance_ends_when_the_pole_falls() -> None:
 
 
 CHECK_FIGURES = {"idle": (-600.0, 23.0), "noise": (-567.0, 25.0)}
-"""Mean and deviation over starts of the swing-up's return; the deviation of `noise` is ours."""
+"""Mean and standard deviation of the swing-up's return over starts."""
 
 
 @pytest.mark.parametrize("kind", CHECK_FIGURES)
-def test_idle_and_noise_earn_what_they_should(kind: str, rng: np.random.Generator) -> None:
+def test_returns_of_idle_and_random_policies(kind: str, rng: np.random.Generator) -> None:
     task, num = TASKS["cartpole-swingup"], 400
     batch = TaskBatch(task, num)
     batch.reset(*task.sample_starts(num, rng))
@@ -199,7 +199,7 @@ def test_idle_and_noise_earn_what_they_should(kind: str, rng: np.random.Generato
     assert abs(total.std() - deviation) < 5
 
 
-def test_divergence_truncates_and_says_so() -> None:
+def test_divergence_truncates_and_is_recorded() -> None:
     env = gymnasium.make("planspace/CartPoleSwingUp-v0").unwrapped
     env._batch.simulator.model.opt.timestep = 0.02  # pyright: ignore
     env.reset(seed=0, options={"state": [0.0, 1.0, 1e9, 1e9]})
@@ -211,18 +211,18 @@ def test_divergence_truncates_and_says_so() -> None:
     assert np.isfinite(obs).all()
 
 
-def test_starts_from_a_given_state_and_refuses_another_size() -> None:
+def test_starts_from_a_given_state_of_the_right_size() -> None:
     env = gymnasium.make("planspace/CartPoleSwingUp-v0", obs="trig")
     obs, info = env.reset(options={"state": [0.1, 0.5, 0.0, 0.0]})
     np.testing.assert_allclose(obs, [0.1, 0.5, 0, 0, np.sin(0.5), np.cos(0.5)], atol=1e-6)
     np.testing.assert_array_equal(info["state"], [0.1, 0.5, 0.0, 0.0])
-    with pytest.raises(UsageError, match=r"a state has 4 numbers .*, options give \(2,\)"):
+    with pytest.raises(UsageError, match=r"a state has 4 numbers .*, got shape \(2,\)"):
         env.reset(options={"state": [0.0, 0.0]})
-    with pytest.raises(UsageError, match="a state to start from is numbers, got 'upright'"):
+    with pytest.raises(UsageError, match="a start state must be numbers, got 'upright'"):
         env.reset(options={"state": "upright"})
 
 
-def test_a_quaternion_to_start_from_is_made_one_long() -> None:
+def test_a_given_quaternion_is_normalised() -> None:
     env = gymnasium.make("planspace/Quadrotor-v0")
     state = np.zeros(13)
     with pytest.raises(UsageError, match=r"a quaternion \(body_qw, .* cannot be 0"):
@@ -232,7 +232,7 @@ def test_a_quaternion_to_start_from_is_made_one_long() -> None:
     assert info["state"][3] == 1.0
 
 
-def test_what_mujoco_cannot_take_is_refused_or_ends_the_episode() -> None:
+def test_extreme_actions_are_refused_or_end_the_episode() -> None:
     env = gymnasium.make("planspace/CartPoleSwingUp-v0", reward="2020")
     env.reset(seed=0)
     with pytest.raises(UsageError, match="an action must be finite numbers"):

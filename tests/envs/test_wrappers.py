@@ -60,14 +60,14 @@ def test_augment_appends_the_mean(
         obs, _, _, _, info = env.step(env.action_space.sample())
 
 
-def test_replace_gives_z_alone(embedding_folder: Path, embedding: Embedding) -> None:
+def test_replace_returns_only_z(embedding_folder: Path, embedding: Embedding) -> None:
     env = PlanSpaceObservation(swing_up(), embedding_folder, mode="replace")
     obs, info = env.reset(seed=0)
     np.testing.assert_allclose(obs, embedding.encode(info["state"]), atol=1e-6)
     assert env.observation_space.shape == (3,)
 
 
-def test_dict_keeps_them_apart(embedding_folder: Path, embedding: Embedding) -> None:
+def test_dict_returns_both(embedding_folder: Path, embedding: Embedding) -> None:
     env = PlanSpaceObservation(swing_up(), embedding_folder, mode="dict")
     obs, info = env.reset(seed=0)
     assert obs in env.observation_space
@@ -119,7 +119,7 @@ def test_the_spec_of_shaping_survives_json_too(embedding_folder: Path) -> None:
 @pytest.mark.parametrize("columns", [None, STATE])
 @pytest.mark.parametrize("mode", ["augment", "replace", "dict"])
 @pytest.mark.parametrize("autoreset", MODES, ids=lambda mode: mode.value)
-def test_the_vector_twin_shows_the_same(
+def test_the_vector_wrapper_equals_the_single_one(
     embedding_folder: Path, columns: tuple[int, ...] | None, mode: str, autoreset: AutoresetMode
 ) -> None:
     def wrap(env: gymnasium.Env) -> gymnasium.Env:
@@ -154,7 +154,7 @@ def alike(a: Any, b: Any) -> None:
         np.testing.assert_allclose(a, b, atol=1e-5)  # one product of many rows rounds otherwise
 
 
-def test_the_vector_twin_stands_on_gymnasiums_own(embedding_folder: Path, embedding: Embedding) -> None:
+def test_the_vector_wrapper_works_on_sync_vector_env(embedding_folder: Path, embedding: Embedding) -> None:
     plain = SyncVectorEnv([swing_up] * 3)
     env = PlanSpaceVectorObservation(plain, embedding_folder)
     obs, info = env.reset(seed=0)
@@ -164,7 +164,7 @@ def test_the_vector_twin_stands_on_gymnasiums_own(embedding_folder: Path, embedd
         PlanSpaceVectorObservation(foreign, embedding_folder)
 
 
-def test_the_vector_twins_record_and_copy(embedding_folder: Path) -> None:
+def test_vector_wrappers_record_their_arguments_and_can_be_copied(embedding_folder: Path) -> None:
     shown = PlanSpaceVectorObservation(many(), embedding_folder, mode="replace")
     shaped = PlanSpaceVectorShaping(many(), embedding_folder, GOAL, scale=2.0)
     for env in (shown, shaped):
@@ -176,13 +176,13 @@ def test_the_vector_twins_record_and_copy(embedding_folder: Path) -> None:
             np.testing.assert_array_equal(other.step(np.ones((4, 1), np.float32))[1], wanted[1])
 
 
-def test_a_state_that_is_not_given_is_asked_for(embedding_folder: Path) -> None:
+def test_a_missing_state_in_info_is_reported(embedding_folder: Path) -> None:
     class Silent(gymnasium.Wrapper[Any, Any, Any, Any]):
         def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
             return self.env.reset(**kwargs)[0], {}
 
     env = PlanSpaceVectorObservation(SyncVectorEnv([lambda: Silent(swing_up())] * 2), embedding_folder)
-    with pytest.raises(UsageError, match=r'gave no info\["state"\]; give it in reset and step'):
+    with pytest.raises(UsageError, match=r'their info has no "state": add it in reset and step'):
         env.reset()
 
 
@@ -201,7 +201,7 @@ def test_shaping_by_hand(embedding_folder: Path, embedding: Embedding) -> None:
         before = info["state"]
 
 
-def test_shaping_adds_up_to_the_potential_of_the_start(embedding_folder: Path, embedding: Embedding) -> None:
+def test_shaping_sums_to_the_potential_of_the_start(embedding_folder: Path, embedding: Embedding) -> None:
     env = PlanSpaceShaping(gymnasium.make("planspace/CartPole-v0"), embedding_folder, GOAL, discount=0.9)
     start = env.reset(seed=0)[1]["state"]
     total, terminated = 0.0, False
@@ -210,12 +210,12 @@ def test_shaping_adds_up_to_the_potential_of_the_start(embedding_folder: Path, e
         total += 0.9**step * info["shaping"]
         if terminated:
             break
-    # whatever was done on the way, the policy that is best stays the best
+    # whatever the policy did: shaping does not change which policy is best
     assert terminated and total == pytest.approx(embedding.distance(start, np.zeros(4)))
 
 
 @pytest.mark.parametrize("autoreset", MODES, ids=lambda mode: mode.value)
-def test_the_vector_twin_shapes_the_same(embedding_folder: Path, autoreset: AutoresetMode) -> None:
+def test_vector_shaping_equals_single_shaping(embedding_folder: Path, autoreset: AutoresetMode) -> None:
     def wrap(env: gymnasium.Env) -> gymnasium.Env:
         return PlanSpaceShaping(env, embedding_folder, GOAL)
 
@@ -248,7 +248,7 @@ def test_a_goal_in_the_observation(embedding_folder: Path, embedding: Embedding)
     assert info["shaping"] == pytest.approx(far - near, abs=1e-5)
 
 
-def test_what_does_not_fit_is_refused_at_construction(embedding_folder: Path, tmp_path: Path) -> None:
+def test_misfits_are_refused_at_construction(embedding_folder: Path, tmp_path: Path) -> None:
     pendulum = gymnasium.make("Pendulum-v1")
     with pytest.raises(UsageError, match=r"the embedding reads 4 numbers \(slider, .*\), got 2"):
         PlanSpaceObservation(pendulum, embedding_folder, columns=[0, 1])
@@ -258,7 +258,7 @@ def test_what_does_not_fit_is_refused_at_construction(embedding_folder: Path, tm
         PlanSpaceObservation(swing_up(), embedding_folder, mode="both")
     with pytest.raises(PlanspaceError, match="is not an embedding"):
         PlanSpaceObservation(swing_up(), tmp_path)
-    with pytest.raises(UsageError, match="columns are those of a flat Box"):
+    with pytest.raises(UsageError, match="columns need a flat Box"):
         PlanSpaceObservation(gymnasium.make("FrozenLake-v1"), embedding_folder, columns=[0])
     with pytest.raises(UsageError, match="the embedding reads states of 4 numbers .*'slider' is missing"):
         PlanSpaceObservation(gymnasium.make("Reacher-v5"), embedding_folder)
@@ -283,7 +283,7 @@ def test_shaping_is_checked_at_construction(
         PlanSpaceShaping(swing_up(), embedding_folder, **arguments)
 
 
-def test_an_environment_without_a_state_is_told_what_to_give(embedding_folder: Path) -> None:
+def test_an_environment_without_a_state_is_refused_with_a_hint(embedding_folder: Path) -> None:
     class Stateless(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(-1, 1, (6,))
 
@@ -306,7 +306,7 @@ def test_a_state_without_names_is_not_guessed_at(embedding_folder: Path) -> None
         state = np.zeros(2)
 
     with pytest.raises(
-        UsageError, match="has 4 `state_names`, and 2 numbers in its attribute `state`. Give col"
+        UsageError, match="has 4 `state_names`, but 2 numbers in its attribute `state`. Give col"
     ):
         PlanSpaceObservation(Short(), embedding_folder)
 
@@ -336,7 +336,7 @@ def test_infos_of_shaping_are_those_of_single_environments(
             np.testing.assert_array_equal(a["_shaping"], b["_shaping"])
 
 
-def test_stands_on_other_wrappers(embedding_folder: Path) -> None:
+def test_wraps_wrapped_environments(embedding_folder: Path) -> None:
     bounded = gymnasium.make("Pendulum-v1")
     inner = RescaleObservation(bounded, np.float32(-1), np.float32(1))
     with pytest.raises(UsageError, match="got 3"):

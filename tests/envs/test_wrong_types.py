@@ -34,10 +34,10 @@ CASES = {
     "make(obs=None)": "UsageError: unknown observation type None.",
     "many(autoreset_mode=None)": "UsageError: unknown autoreset mode None.",
     "show(mode=None)": "UsageError: unknown mode None.",
-    "show(columns=[0.0, 1.0, 2.0, 3.0])": "UsageError: columns are whole numbers, got [0.0, 1.0, 2.0, 3.0].",
+    "show(columns=[0.0, 1.0, 2.0, 3.0])": "UsageError: columns must be whole numbers, got [0.0, 1.",
     "show(columns=[True] * 4)": "UsageError: the embedding reads 4 numbers",
-    "show(columns='abcd')": "UsageError: columns are whole numbers, got 'abcd'.",
-    "show(columns=3)": "UsageError: columns are whole numbers, got 3.",
+    "show(columns='abcd')": "UsageError: columns must be whole numbers, got 'abcd'.",
+    "show(columns=3)": "UsageError: columns must be whole numbers, got 3.",
     "show(columns=list(np.arange(4))).spec.to_json()": "accepted",
     "show(embedding=folder + '/embedding.json')": "PlanspaceError: ",
     "show(embedding=None)": "UsageError: expected the path of an embedding's folder, got None.",
@@ -51,13 +51,13 @@ CASES = {
     "shape(scale='1')": "UsageError: scale must be a number above 0, got '1'.",
     "shape(discount=None)": "UsageError: discount must be a number above 0 and at most 1, got None.",
     "many().reset(seed=np.int64(3))": "accepted",
-    "make().reset(options={'state': {'hinge': 1}})": "UsageError: a state to start from is numbers",
+    "make().reset(options={'state': {'hinge': 1}})": "UsageError: a start state must be numbers",
     "embedding.encode([0, 1, 0, 0])": "accepted",
     "np.testing.assert_array_equal(*map(embedding.encode, ([0, 1, 0, 0], [0.0, 1.0, 0.0, 0.0])))": "accepted",
 }
 
 
-def test_each_is_one_clear_line(embedding_folder: Path) -> None:
+def test_wrong_types_are_reported_in_one_line(embedding_folder: Path) -> None:
     command = [sys.executable, "-c", SCRIPT, str(embedding_folder), json.dumps(list(CASES))]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     for (code, wanted), got in zip(CASES.items(), json.loads(done.stdout), strict=True):

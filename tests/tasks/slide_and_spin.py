@@ -1,4 +1,4 @@
-"""A task as a stranger writes it: an MJCF model of their own and a few functions, in one file."""
+"""A task as a user writes it: an MJCF model and a few functions in one file."""
 
 import numpy as np
 

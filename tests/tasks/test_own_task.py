@@ -1,4 +1,4 @@
-"""A task of a stranger: made, stepped, wrapped, named; and refused if it does not fit."""
+"""A user's own task is made, stepped, wrapped and named, and is refused if it does not fit."""
 
 import copy
 import pickle
@@ -39,7 +39,7 @@ def pixels(states: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def embedding_of(task: ps.Task) -> Embedding:
-    """An embedding of the task's state, its weights drawn at random."""
+    """An embedding of the task's state with random weights."""
     rng, space = np.random.default_rng(0), task.space
     inputs = Inputs.fit(rng.normal(size=(9, space.size)), space.names, space.units, (), "raw")
     encoder = ([rng.normal(size=(6, space.size))], [np.zeros(6)])
@@ -113,7 +113,7 @@ def test_physics_equals_a_plain_loop_of_mj_step() -> None:
         np.testing.assert_array_equal(info["state"], [*data.qpos, *data.qvel])
 
 
-def test_gymnasium_takes_a_task_as_an_argument() -> None:
+def test_gymnasium_accepts_a_task_as_an_argument() -> None:
     gymnasium.register(
         "tests/SlideAndSpin-v0", entry_point="planspace.envs.task:TaskEnv", kwargs={"task": TASK}
     )
@@ -227,7 +227,7 @@ def test_a_wrong_value_is_refused_when_the_task_is_made(change: dict[str, Any], 
 
 
 def task_without_type_checks(change: dict[str, Any]) -> Callable[[], None]:
-    """The tests check types at run time, a user's program does not: set the fields past that check."""
+    """Make a task whose fields are set without the type checks that only the tests have."""
     from planspace.tasks.task import check_fields
 
     def make() -> None:

@@ -35,7 +35,7 @@ def test_shipped_problems_load_and_start_in_bounds(name: str, rng: np.random.Gen
     assert not goal.reached(starts).all()
 
 
-def test_a_file_is_the_same_problem_under_another_name(tmp_path: Path) -> None:
+def test_a_copied_file_is_the_same_problem_with_another_name(tmp_path: Path) -> None:
     mine, shipped = load_problem(write(tmp_path, GOOD)), load_problem("cartpole-swingup")
     assert mine.name == "mine"
     assert (mine.mjcf, mine.start, mine.goal) == (shipped.mjcf, shipped.start, shipped.goal)
@@ -46,6 +46,17 @@ def test_a_random_goal_is_drawn_from_its_box(rng: np.random.Generator) -> None:
     drawn = np.stack([goal.sample(rng) for _ in range(50)])
     assert drawn[:, :2].std(axis=0).min() > 1.0
     assert (drawn[:, 2:] == 0).all()
+
+
+def test_a_problem_made_in_python_is_checked_and_has_a_short_repr() -> None:
+    problem = load_problem("cartpole-swingup")
+    assert load_problem(problem) is problem
+    assert load_problem(ASSETS / "cartpole-swingup.yaml") == problem
+    assert repr(problem) == "Problem('cartpole-swingup', joints slider, hinge, planner sst)"
+    with pytest.raises(PlanspaceError, match="problem cartpole-swingup: goal must have 4 numbers, got 1"):
+        load_problem(replace(problem, goal=Box((0.0,), (0.0,))))
+    with pytest.raises(PlanspaceError, match="the model moves the joint 'slider', which is not in joints"):
+        load_problem(replace(problem, joints=("hinge",)))
 
 
 def test_an_unknown_problem_suggests_the_nearest() -> None:
@@ -114,7 +125,7 @@ def test_bad_files_are_refused(before: str, after: str, message: str, tmp_path: 
         load_problem(write(tmp_path, GOOD.replace(before, after)))
 
 
-def test_a_model_that_does_not_compile_says_where(tmp_path: Path) -> None:
+def test_a_model_that_does_not_compile_is_reported_with_its_line(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD)
     (tmp_path / "cartpole.xml").write_text("<mujoco>\n<worldbody>\n<geom radius_='1'/></worldbody></mujoco>")
     with pytest.raises(PlanspaceError, match=r"cartpole.xml does not compile: .*radius_.*line 3"):
@@ -185,7 +196,7 @@ time_limit: 30
         load_problem(write(tmp_path, text.replace("time_limit", "time_limt")))
 
 
-def test_a_start_always_in_collision_is_said(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_starts_always_in_collision_are_reported(rng: np.random.Generator, tmp_path: Path) -> None:
     problem = load_problem("arm")
     inside_post = (0.0, 1.57, 0.0, 0.0, *[0.0] * 10)
     problem = replace(problem, start=Box(inside_post, inside_post))
@@ -198,7 +209,7 @@ def test_a_start_always_in_collision_is_said(rng: np.random.Generator, tmp_path:
     assert not (tmp_path / "demos").exists()
 
 
-def test_a_goal_that_may_not_be_entered_and_one_that_spans_rotations_are_said(tmp_path: Path) -> None:
+def test_a_goal_in_collision_and_one_that_spans_rotations_are_refused(tmp_path: Path) -> None:
     arm = (ASSETS / "arm-kinematic.yaml").read_text()
     (tmp_path / "arm.xml").write_text((ASSETS / "arm.xml").read_text())
     (tmp_path / "mine.yaml").write_text(arm.replace("goal: [1.0, 0.8,", "goal: [0.0, 1.57,"))
@@ -213,7 +224,7 @@ def test_a_goal_that_may_not_be_entered_and_one_that_spans_rotations_are_said(tm
 
 
 def test_a_goal_box_on_a_circle_behind_a_ball_stays_on_the_circle() -> None:
-    """States and tangents count differently there: the hinge is number 4 of the one, 3 of the other."""
+    """The hinge is number 4 of a state and number 3 of a tangent."""
     mjcf = """<mujoco><compiler angle="radian"/><worldbody>
       <body><joint name="b" type="ball"/><geom size="0.1"/>
         <body><joint name="h"/><geom size="0.1"/></body></body></worldbody>
@@ -227,7 +238,7 @@ def test_a_goal_box_on_a_circle_behind_a_ball_stays_on_the_circle() -> None:
     assert goal.distance(inside + np.eye(9)[4] * 0.241592653589793) == pytest.approx(0.141592653589793)
 
 
-def test_a_small_file_makes_no_endless_message(tmp_path: Path) -> None:
+def test_messages_stay_short_for_aliased_and_nested_yaml(tmp_path: Path) -> None:
     aliases = "[&a [1, 1, 1], &b [*a, *a, *a], &c [*b, *b, *b], &d [*c, *c, *c], &e [*d, *d, *d], [*e, *e]]"
     text = GOOD.replace("tolerance: 0.1", f"tolerance: {aliases}")
     deep = "[" * 40 + "1" + "]" * 40

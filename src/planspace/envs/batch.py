@@ -1,4 +1,4 @@
-"""Many episodes of one task stepped together; every environment of planspace stands on this."""
+"""Many episodes of one task, stepped together; all environments of planspace use this."""
 
 import mujoco
 import numpy as np
@@ -11,16 +11,16 @@ from planspace.tasks.task import Task
 
 
 class TaskBatch:
-    """`num` episodes of a task on one physics batch."""
+    """`num` episodes of a task in one batch of simulations."""
 
     def __init__(self, task: Task, num: int, *, threads: int = 0, reward: RewardType = "dense"):
-        """Starts the simulations; `reset` starts the episodes.
+        """Start the simulations; `reset` starts the episodes.
 
         Args:
             task: the task; one that does not fit its model is refused (see `check_task`).
-            num: how many episodes run side by side.
-            threads: physics threads; 0 takes all CPUs. Results do not depend on it.
-            reward: the form of reward. With that of 2020 controls have no limit, as in 2020.
+            num: number of episodes.
+            threads: physics threads; 0 uses all CPUs. Results do not depend on it.
+            reward: the reward type. With `2020`, controls have no limits, as in the 2020 code.
         """
         model, space = task.compile()
         check_task(task, model, space)
@@ -40,7 +40,7 @@ class TaskBatch:
         targets: Float[np.ndarray, "env target"],
         ids: Int[np.ndarray, " env"] | None = None,
     ) -> None:
-        """Begins episodes (all, or those of `ids`) at the given states with the given targets."""
+        """Start episodes (all, or those in `ids`) at the given states with the given targets."""
         index = slice(None) if ids is None else ids
         self.simulator.reset(states, ids)
         self.states[index], self.targets[index] = states, targets
@@ -48,12 +48,12 @@ class TaskBatch:
     def step(
         self, actions: Float[np.ndarray, "env control"]
     ) -> tuple[Float[np.ndarray, " env"], Bool[np.ndarray, " env"], Bool[np.ndarray, " env"]]:
-        """Takes one step of every episode.
+        """Take one step in every episode.
 
-        A diverged episode keeps the state it had before the step and earns nothing; end it.
+        An episode whose physics diverge keeps the state before the step and earns 0; the caller ends it.
 
         Returns:
-            Reward, whether the episode terminated, and whether its physics diverged.
+            The rewards, whether each episode terminated, and whether its physics diverged.
         """
         before = self.states
         simulator = self.simulator
@@ -66,7 +66,7 @@ class TaskBatch:
         return np.where(diverged, 0.0, reward), self.task.terminated(after), diverged
 
     def mujoco_data(self, episode: int) -> mujoco.MjData:
-        """One episode as it is now, everything computed, the target where it is."""
+        """Return the current state of an episode for drawing, with its target in place."""
         data = self.simulator.mujoco_data(episode)
         size = min(self.task.target_size, 3)
         if size and self.simulator.model.nmocap:

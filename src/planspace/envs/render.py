@@ -1,4 +1,4 @@
-"""Pictures of an episode, and a window on it."""
+"""Draws episodes, as images or in a window."""
 
 from typing import Any
 
@@ -13,49 +13,49 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class Renderer:
-    """Draws the episodes of a batch; needs a graphics library, which is loaded with the first picture."""
+    """Draws the episodes of a batch; the graphics library is loaded with the first image."""
 
     def __init__(self, batch: TaskBatch):
-        """Nothing is opened before something is drawn."""
+        """Remember the batch; nothing is opened before the first image."""
         self._batch = batch
         self._offscreen: mujoco.Renderer | None = None
         self._window: Any = None  # mujoco.viewer's handle
         self._shown: mujoco.MjData | None = None
 
     def picture(self, episode: int) -> np.ndarray:
-        """The picture of an episode now [height, width, 3].
+        """Return an image of an episode [height, width, 3].
 
         Raises:
-            PlanspaceError: there is nothing to draw with.
+            PlanspaceError: the graphics library does not work here.
         """
         if self._offscreen is None:
             try:
                 self._offscreen = mujoco.Renderer(self._batch.simulator.model, *SIZE)
-            except Exception as error:  # whatever the graphics library raises
+            except Exception as error:  # any error of the graphics library
                 raise PlanspaceError(
-                    f"no picture can be drawn here ({error}); try MUJOCO_GL=egl, or see `planspace doctor`."
+                    f"cannot draw images here ({error}); try MUJOCO_GL=egl, or see `planspace doctor`."
                 ) from error
         self._offscreen.update_scene(self._batch.mujoco_data(episode), camera=0)
         return self._offscreen.render()
 
     def show(self, episode: int) -> None:
-        """Shows an episode as it is now in a window.
+        """Show the current state of an episode in a window.
 
         Raises:
-            PlanspaceError: no window can be opened.
+            PlanspaceError: a window cannot be opened.
         """
         now = self._batch.mujoco_data(episode)
         if self._window is None:
             self._shown = now
             try:
-                from mujoco import viewer  # brings the window system with it
+                from mujoco import viewer  # imports the window system
 
                 self._window = viewer.launch_passive(
                     self._batch.simulator.model, now, show_left_ui=False, show_right_ui=False
                 )
-            except Exception as error:  # whatever the window system raises
+            except Exception as error:  # any error of the window system
                 raise PlanspaceError(
-                    f"no window can be opened here ({error}); render_mode='rgb_array' needs none."
+                    f"cannot open a window here ({error}); render_mode='rgb_array' works without one."
                 ) from error
         assert self._shown is not None
         with self._window.lock():
@@ -65,7 +65,7 @@ class Renderer:
         self._window.sync()
 
     def close(self) -> None:
-        """Frees what was opened."""
+        """Close the window and free the graphics library."""
         if self._offscreen is not None:
             self._offscreen.close()
         if self._window is not None:

@@ -1,4 +1,4 @@
-"""Our vector environments for Stable-Baselines3, which cannot use Gymnasium's (extra `sb3`)."""
+"""Vector environments for Stable-Baselines3, which cannot use those of Gymnasium (extra `sb3`)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
+from planspace.embed.embedding import Embedding
 from planspace.envs.observation_wrappers import PlanSpaceVectorObservation
 from planspace.errors import PlanspaceError, UsageError
 
@@ -15,8 +16,8 @@ try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise PlanspaceError(
-        "Stable-Baselines3 is not installed: pip install 'planspace[sb3]', and before it the CPU "
-        "build of torch where there is no GPU."
+        "Stable-Baselines3 is not installed: pip install 'planspace[sb3]'. On a machine without a GPU, "
+        "install the CPU build of torch first."
     ) from error
 
 
@@ -24,35 +25,35 @@ def make_vec_env(
     env_id: str,
     n_envs: int = 1,
     seed: int | None = None,
-    embedding: str | Path | None = None,
+    embedding: str | Path | Embedding | None = None,
     mode: str = "augment",
     monitor_file: str | Path | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
 ) -> VecMonitor:
-    """Makes one of our tasks for Stable-Baselines3, all episodes on one batch of physics.
+    """Make a task's vector environment for Stable-Baselines3, in one batch of simulations.
 
-    As SB3's function of that name, episodes are monitored. Put `VecNormalize` around it as usual.
+    Like SB3's function of the same name, it monitors episodes. Wrap it in `VecNormalize` as usual.
 
     Args:
-        env_id: the task's name in Gymnasium, such as `planspace/CartPoleSwingUp-v0`.
-        n_envs: how many episodes run side by side.
-        seed: starts the random streams; None draws fresh ones.
-        embedding: an embedding's folder, to show the agent z.
-        mode: how, as for `PlanSpaceObservation`.
-        monitor_file: where to write each episode's return and length, as SB3's `VecMonitor` does.
-        env_kwargs: more arguments of the task, such as `{"obs": "trig"}`.
+        env_id: the task's Gymnasium id, such as `planspace/CartPoleSwingUp-v0`.
+        n_envs: number of environments.
+        seed: the seed of the random streams; None draws one.
+        embedding: an embedding or its folder, to show the agent z.
+        mode: how z is shown, as for `PlanSpaceObservation`.
+        monitor_file: file for each episode's return and length, as in SB3's `VecMonitor`.
+        env_kwargs: further arguments of the environment, such as `{"obs": "trig"}`.
 
     Raises:
-        UsageError: an argument does not fit; see `TaskVectorEnv` and `PlanSpaceVectorObservation`.
+        UsageError: an argument is wrong; see `TaskVectorEnv` and `PlanSpaceVectorObservation`.
         PlanspaceError: the embedding cannot be loaded.
     """
     if gymnasium.spec(env_id.rpartition(":")[2]).vector_entry_point is None:
-        raise UsageError(f"{env_id} has no vector environment of its own; use SB3's make_vec_env for it.")
+        raise UsageError(f"{env_id} has no vector environment; use SB3's own make_vec_env for it.")
     env: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
         env_id,
         num_envs=n_envs,
         vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP.value,  # an enum would not survive the spec's JSON
+        autoreset_mode=AutoresetMode.SAME_STEP.value,  # the spec's JSON cannot hold an enum
         **(env_kwargs or {}),
     )
     if embedding is not None:
@@ -64,26 +65,26 @@ def make_vec_env(
 
 
 class GymnasiumVecEnv(VecEnv):
-    """A Gymnasium vector environment that resets in the same step, as an SB3 `VecEnv`."""
+    """A Gymnasium vector environment as a `VecEnv` of SB3."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any]):
-        """Takes the environment over.
+        """Use a vector environment.
 
         Args:
-            env: made with `autoreset_mode="SameStep"`, as SB3 means it; wrappers of it do.
+            env: the environment, wrapped or not, with `autoreset_mode="SameStep"`, as SB3 expects.
 
         Raises:
-            UsageError: it resets in another way.
+            UsageError: it has another autoreset mode.
         """
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            raise UsageError(f"SB3 resets in the same step: take autoreset_mode='SameStep', not {mode}.")
+            raise UsageError(f"SB3 needs environments with autoreset_mode='SameStep', got {mode}.")
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: Any = None
 
     def reset(self) -> Any:
-        """Starts all episodes, with the seeds and options set since the last time."""
+        """Start all episodes, with the seeds and options that were set since the last reset."""
         seeds, options = None if None in self._seeds else list(self._seeds), self._options
         self._reset_seeds()
         self._reset_options()
@@ -92,11 +93,11 @@ class GymnasiumVecEnv(VecEnv):
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Takes the actions."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Takes the step; of an ended episode `infos` say how it ended, `reset_infos` how the next began."""
+        """Take the step; for an episode that ended, `reset_infos` has the info of the next one."""
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
         last, final = info.pop("final_obs", None), info.pop("final_info", {})
@@ -104,61 +105,61 @@ class GymnasiumVecEnv(VecEnv):
         for i in np.flatnonzero(done):
             self.reset_infos[i] = infos[i]
             infos[i] = ends[i] | {"terminal_observation": last[i]}
-        for told, cut_off in zip(infos, (truncated & ~terminated).tolist(), strict=True):
-            told["TimeLimit.truncated"] = cut_off
+        for info_of_one, cut_off in zip(infos, (truncated & ~terminated).tolist(), strict=True):
+            info_of_one["TimeLimit.truncated"] = cut_off
         return obs, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Frees what the environment took."""
+        """Close the environment."""
         self.env.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """The picture of each episode now."""
+        """Return an image of each environment."""
         images = self.env.render()
         return [None] * self.num_envs if images is None else list(images)  # pyright: ignore
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The vector environment's attribute, which its episodes share, once for each."""
+        """Return an attribute of the vector environment, once for each environment."""
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the vector environment.
+        """Set an attribute of the vector environment.
 
         Raises:
-            UsageError: it is asked for some episodes alone.
+            UsageError: `indices` chooses some of the environments.
         """
         if indices is not None:
-            raise UsageError(f"the episodes of one batch share {attr_name}; set it for all of them.")
+            raise UsageError(f"all environments share {attr_name}: set it without indices.")
         setattr(self.env.unwrapped, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Is refused.
+        """Raise an error.
 
         Raises:
-            UsageError: always, because the episodes of one batch are no objects of their own.
+            UsageError: always, because there are no single environments whose method could be called.
         """
-        raise UsageError(f"the episodes of one batch have no method {method_name} of their own.")
+        raise UsageError(f"cannot call {method_name}: the vector environment has no single environments.")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No episode is wrapped by itself."""
+        """Return False for each environment: single environments are not wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
 def _merged(options: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """Each episode's options as those of the vector environment."""
+    """The options of all environments, combined for the vector environment."""
     if not any(options):
         return None
     if any(set(one) != {"state"} for one in options) or len({np.shape(one["state"]) for one in options}) != 1:
-        raise UsageError(f"all episodes can be given a state to start from, nothing else; got {options}.")
+        raise UsageError(f"the only option is a start state for every environment, got {options}.")
     return {"state": np.stack([one["state"] for one in options])}
 
 
 def _one_by_one(info: Mapping[str, Any], num: int) -> list[dict[str, Any]]:
-    """A vector environment's info as one for each episode."""
+    """A vector environment's info, split into one for each environment."""
     infos: list[dict[str, Any]] = [{} for _ in range(num)]
     for name, values in info.items():
-        if f"_{name}" not in info:  # a mask itself
+        if f"_{name}" not in info:  # it is a mask
             continue
         values = _one_by_one(values, num) if isinstance(values, Mapping) else values
         for i in np.flatnonzero(info[f"_{name}"]):

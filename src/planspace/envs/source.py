@@ -1,4 +1,4 @@
-"""Where an embedding's states come from: the environment by name, its MuJoCo data, or the observation."""
+"""Reading an embedding's state from an environment: by name, from MuJoCo's data, or from the observation."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -13,12 +13,12 @@ from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
 
 StateSource = Callable[[Any, dict[str, Any]], np.ndarray]
-"""(observation, info) to the states the embedding reads, after any leading axis of episodes."""
+"""(observation, info) to the embedding's states, with the leading axes of the observation."""
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Numbers of a flat observation."""
+    """Reads columns of a flat observation."""
 
     columns: list[int]
 
@@ -28,7 +28,7 @@ class _Columns:
 
 @dataclass(frozen=True)
 class _Attribute:
-    """Numbers of the environment's attribute `state`."""
+    """Reads the environment's attribute `state`."""
 
     env: Any
     columns: list[int]
@@ -39,7 +39,7 @@ class _Attribute:
 
 @dataclass(frozen=True)
 class _Joints:
-    """Positions and velocities of a MuJoCo environment's joints."""
+    """Reads positions and velocities of the joints of a MuJoCo environment."""
 
     env: Any
     space: Any
@@ -52,15 +52,15 @@ class _Joints:
 
 @dataclass(frozen=True)
 class _Info:
-    """Numbers of `info["state"]`."""
+    """Reads `info["state"]`."""
 
     columns: list[int]
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
         if "state" not in info:
             raise UsageError(
-                'the environments have `state_names`, but gave no info["state"]; give it in reset and step, '
-                "or say columns=[...] of the observation."
+                'the environments have `state_names`, but their info has no "state": add it in reset and '
+                "step, or give columns=[...] of the observation."
             )
         return info["state"][..., self.columns]
 
@@ -68,17 +68,16 @@ class _Info:
 def state_source(
     env: gymnasium.Env[Any, Any], embedding: Embedding, columns: Sequence[int] | None
 ) -> StateSource:
-    """How to read the embedding's states off a single environment.
+    """Return what reads the embedding's state from a single environment.
 
     Args:
-        env: the environment, which may be wrapped.
-        embedding: what reads the states.
-        columns: the numbers of the observation that are the states, in the embedding's order; None looks for
-            attributes `state` and `state_names`, then for MuJoCo's `model` and `data` with joints of those
-            names.
+        env: the environment, wrapped or not.
+        embedding: the embedding.
+        columns: the columns of the observation that make the state, in the embedding's order; None reads
+            the attributes `state` and `state_names`, or else the joints in MuJoCo's `model` and `data`.
 
     Raises:
-        UsageError: the states cannot be read in any of these ways.
+        UsageError: the state cannot be read in any of these ways.
     """
     if columns is not None:
         return source_of_columns(env.observation_space, embedding, columns)
@@ -86,9 +85,9 @@ def state_source(
     names = getattr(inner, "state_names", None)
     if names is not None:
         state = getattr(inner, "state", np.empty(0))
-        if state is not None and np.size(state) != len(names):  # None: there is none before the first reset
+        if state is not None and np.size(state) != len(names):  # it is None before the first reset
             raise UsageError(
-                f"the environment has {len(names)} `state_names`, and {np.size(state)} numbers in its "
+                f"the environment has {len(names)} `state_names`, but {np.size(state)} numbers in its "
                 f"attribute `state`. {_columns_help(embedding)}"
             )
         return _Attribute(inner, _found(embedding, names))
@@ -103,13 +102,13 @@ def state_source(
 def vector_state_source(
     env: gymnasium.vector.VectorEnv[Any, Any, Any], embedding: Embedding, columns: Sequence[int] | None
 ) -> StateSource:
-    """How to read the embedding's states off a vector environment, all episodes at once.
+    """Return what reads the embedding's states from a vector environment, all in one call.
 
     Args:
-        env: the vector environment, which may be wrapped.
-        embedding: what reads the states.
-        columns: the numbers of an observation that are the states, in the embedding's order; None takes
-            `info["state"]`, in the order of the attribute `state_names` of the environments.
+        env: the vector environment, wrapped or not.
+        embedding: the embedding.
+        columns: the columns of an observation that make the state, in the embedding's order; None reads
+            `info["state"]`, whose names are in the attribute `state_names` of the environments.
 
     Raises:
         UsageError: the states cannot be read in either way.
@@ -120,8 +119,8 @@ def vector_state_source(
     if names is None:
         raise UsageError(
             'the states cannot be read: the environments have no `state_names` for their info["state"]. '
-            f"{_columns_help(embedding)} Or put PlanSpaceObservation around each single environment, which "
-            "reads MuJoCo's data, too."
+            f"{_columns_help(embedding)} Or wrap each single environment in PlanSpaceObservation, which "
+            "can also read MuJoCo's data."
         )
     return _Info(_found(embedding, names))
 
@@ -129,17 +128,17 @@ def vector_state_source(
 def source_of_columns(
     space: gymnasium.Space[Any], embedding: Embedding, columns: Sequence[int]
 ) -> StateSource:
-    """Reads states off the columns of a flat observation.
+    """Return what reads states from columns of a flat observation.
 
     Raises:
-        UsageError: the observation is not flat, or the columns are not as many as are read, or outside.
+        UsageError: the observation is not flat, or the columns have the wrong number or lie outside it.
     """
     if not isinstance(space, Box) or len(space.shape) != 1:
-        raise UsageError(f"columns are those of a flat Box, the observation is {space}.")
+        raise UsageError(f"columns need a flat Box, and the observation space is {space}.")
     try:
         columns = [operator.index(c) for c in columns if not isinstance(c, bool)]
     except TypeError:
-        raise UsageError(f"columns are whole numbers, got {columns!r}.") from None
+        raise UsageError(f"columns must be whole numbers, got {columns!r}.") from None
     if len(columns) != embedding.state_dim:
         raise UsageError(f"{_wanted(embedding)}, got {len(columns)} columns.")
     if not all(0 <= c < space.shape[0] for c in columns):
@@ -148,7 +147,7 @@ def source_of_columns(
 
 
 def _of_mujoco(inner: Any, embedding: Embedding) -> StateSource:
-    from planspace.physics.space import StateSpace  # brings MuJoCo with it, which such an environment has
+    from planspace.physics.space import StateSpace  # imports MuJoCo, which such an environment has imported
 
     model = inner.model
     joints = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name]
@@ -166,7 +165,7 @@ def _names_of_vector(inner: Any) -> Sequence[str] | None:
 
 
 def _found(embedding: Embedding, names: Sequence[str]) -> list[int]:
-    """Where the embedding's states are among these."""
+    """Return where each number of the embedding's state is among these names."""
     try:
         return list(embedding.columns_of(names))
     except UsageError as error:
@@ -174,7 +173,7 @@ def _found(embedding: Embedding, names: Sequence[str]) -> list[int]:
 
 
 def _columns_help(embedding: Embedding) -> str:
-    return f"Give columns=[...], the numbers of the observation that are ({_names(embedding)})."
+    return f"Give columns=[...], the columns of the observation that hold ({_names(embedding)})."
 
 
 def _wanted(embedding: Embedding) -> str:

@@ -1,4 +1,4 @@
-"""The tasks as Gymnasium environments: `planspace/CartPoleSwingUp-v0` and its siblings."""
+"""A task as a Gymnasium environment, such as `planspace/CartPoleSwingUp-v0`."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +17,7 @@ from planspace.tasks.task import Task, find_reward_type
 
 
 class Described:
-    """What the numbers of an environment's states and observations are."""
+    """Names and units of the numbers in an environment's states and observations."""
 
     task: Task
     obs: ObservationType
@@ -41,14 +41,14 @@ class Described:
 
 
 class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
-    """One episode of a task at a time.
+    """A single environment of a task.
 
-    Observations are float32; `info["state"]` and the attribute `state` hold the planning state, which is
-    what an embedding reads. `reset(options={"state": ...})` starts from a given state. A copy, or one that
-    was pickled, is a fresh environment with the same arguments, as is usual in Gymnasium.
+    Observations are float32. `info["state"]` and the attribute `state` hold the planning state, which an
+    embedding reads. `reset(options={"state": ...})` starts from a given state. As usual in Gymnasium, a
+    copied or unpickled environment is a new one with the same arguments.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  Gymnasium's way
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  as Gymnasium does
 
     def __init__(
         self,
@@ -57,17 +57,18 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         reward: str = "dense",
         render_mode: str | None = None,
     ):
-        """Makes the environment; `gymnasium.make` calls this.
+        """Make the environment; `gymnasium.make` and `planspace.make_env` call this.
 
         Args:
             task: the task's name, or a task of your own.
-            obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
-            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
-                what that study paid, mistakes and all, and forces without limit.
+            obs: `raw`; `wrapped`: angles of unlimited hinges within (-pi, pi]; `trig`: raw plus their sine
+                and cosine.
+            reward: `dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere; `2020` (only the
+                swing-up): the reward of the 2020 code, with controls without limits.
             render_mode: `human`, `rgb_array` or None.
 
         Raises:
-            UsageError: an argument is none of these.
+            UsageError: an argument has another value, or a task does not fit its model.
         """
         gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
         self.task = find_task(task) if isinstance(task, str) else task
@@ -80,20 +81,20 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
 
     @property
     def state(self) -> np.ndarray:
-        """The planning state now."""
+        """The current planning state."""
         return self._batch.states[0].copy()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts an episode.
+        """Start an episode.
 
         Args:
-            seed: restarts the environment's random stream.
+            seed: the seed of the environment's random stream; None continues the stream.
             options: `{"state": ...}` starts from a given planning state.
 
         Raises:
-            UsageError: the given state has another size, or is not finite.
+            UsageError: the given state has the wrong size, or is not finite.
         """
         super().reset(seed=seed)
         states, targets = self.task.sample_starts(1, self.np_random)
@@ -105,10 +106,10 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         return self._now()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Takes one step; diverged physics truncate the episode, and `info["diverged"]` is true.
+        """Take one step; if the physics diverge, the episode is truncated and `info["diverged"]` is true.
 
         Raises:
-            UsageError: the action has another shape, or is not finite.
+            UsageError: the action has the wrong shape, or is not finite.
         """
         action = checked_actions(action, self.action_space)
         reward, terminated, diverged = self._batch.step(action[None])
@@ -118,11 +119,11 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         return obs, float(reward[0]), bool(terminated[0]), bool(diverged[0]), info
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The picture now [height, width, 3], where the mode is `rgb_array`."""
+        """Return an image [height, width, 3] if the render mode is `rgb_array`."""
         return self._renderer.picture(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Frees what drawing took."""
+        """Close the window and free the graphics library."""
         self._renderer.close()
 
     def _now(self, diverged: bool = False) -> tuple[np.ndarray, dict[str, Any]]:
@@ -131,10 +132,10 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
 
 
 def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
-    """The render mode of a name, or None.
+    """Return the render mode with this name, or None.
 
     Raises:
-        UsageError: it is neither.
+        UsageError: no render mode has this name.
     """
     if name is not None and name not in known:
         raise unknown("render mode", name, known)
@@ -142,35 +143,33 @@ def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
 
 
 def spaces_of(task: Task, obs: ObservationType, batch: TaskBatch) -> tuple[Box, Box]:
-    """The spaces of observations and actions of one episode."""
+    """Return the observation space and the action space of one environment."""
     low, high = batch.simulator.model.actuator_ctrlrange.T.astype(np.float32)
     actions = Box(low, high)
     return Box(-np.inf, np.inf, (len(task.fields(obs)),), np.float32), actions
 
 
 def frames_per_second(batch: TaskBatch) -> int:
-    """Steps a second of simulated time."""
+    """Return the number of steps in a second of simulated time."""
     return round(1.0 / (batch.task.frame_skip * batch.simulator.model.opt.timestep))
 
 
 def given_states(given: Any, space: StateSpace, num: int | None = None) -> np.ndarray:
-    """States a caller gave to start from: one, or with `num` that many or one for all.
+    """Return the start states that a caller gave: one, or for `num` environments one each or one for all.
 
     Raises:
-        UsageError: they have another shape, are not finite, or hold a quaternion of length 0.
+        UsageError: they have the wrong shape, are not finite, or hold a quaternion of length 0.
     """
     names = space.names
     try:
         states = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
-        raise UsageError(f"a state to start from is numbers, got {given!r}.") from None
+        raise UsageError(f"a start state must be numbers, got {given!r}.") from None
     shapes = [(len(names),)] + ([] if num is None else [(num, len(names))])
     if states.shape not in shapes:
-        raise UsageError(
-            f"a state has {len(names)} numbers ({', '.join(names)}), options give {states.shape}."
-        )
+        raise UsageError(f"a state has {len(names)} numbers ({', '.join(names)}), got shape {states.shape}.")
     if not np.isfinite(states).all():
-        raise UsageError(f"a state to start from must be finite, got {states}.")
+        raise UsageError(f"a start state must be finite, got {states}.")
     for start in space.quaternion_columns:
         if (np.linalg.norm(states[..., start : start + 4], axis=-1) == 0).any():
             raise UsageError(
@@ -181,14 +180,14 @@ def given_states(given: Any, space: StateSpace, num: int | None = None) -> np.nd
 
 
 def checked_actions(actions: Any, space: gymnasium.Space[Any]) -> np.ndarray:
-    """Actions as float64, of the space's shape and all finite; too large ones are left to be clipped.
+    """Return actions as float64; values outside the limits are clipped later.
 
     Raises:
-        UsageError: they are not.
+        UsageError: they have another shape than the action space, or are not finite.
     """
     actions = np.asarray(actions, dtype=float)
     if actions.shape != space.shape:
-        raise UsageError(f"an action has shape {space.shape}, got {actions.shape}.")
+        raise UsageError(f"an action must have shape {space.shape}, got {actions.shape}.")
     if not np.isfinite(actions).all():
         raise UsageError(f"an action must be finite numbers, got {actions}.")
     return actions

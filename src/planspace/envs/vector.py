@@ -1,4 +1,4 @@
-"""Many episodes of a task as one Gymnasium vector environment, on one batch of physics."""
+"""Many environments of a task as one Gymnasium vector environment, in one batch of simulations."""
 
 from typing import Any
 
@@ -28,19 +28,19 @@ MODES = tuple(mode.value for mode in AutoresetMode)
 
 
 class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
-    """What `SyncVectorEnv` of as many `TaskEnv` gives, bit by bit, in a fraction of the time.
+    """A vector environment that gives what `SyncVectorEnv` with `TaskEnv` gives, bit for bit, but faster.
 
-    `gymnasium.make_vec("planspace/CartPoleSwingUp-v0", num_envs=64, vectorization_mode="vector_entry_point")`
-    makes one. Each episode has a random stream of its own, so that it does not depend on those beside it.
+    `planspace.make_env("cartpole-swingup", 64)` makes one. Each environment has its own random stream, so
+    that its episodes do not depend on the other environments.
     """
 
-    metadata = {  # noqa: RUF012  Gymnasium's way
+    metadata = {  # noqa: RUF012  as Gymnasium does
         "render_modes": ["rgb_array"],
         "render_fps": 25,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(  # noqa: PLR0913  Gymnasium gives them one by one
+    def __init__(  # noqa: PLR0913  Gymnasium passes them one by one
         self,
         task: str | Task,
         num_envs: int = 1,
@@ -51,22 +51,21 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         threads: int = 0,
         render_mode: str | None = None,
     ):
-        """Makes the environment; `gymnasium.make_vec` calls this.
+        """Make the environment; `gymnasium.make_vec` and `planspace.make_env` call this.
 
         Args:
             task: the task's name, or a task of your own.
-            num_envs: how many episodes run side by side.
-            obs: `raw`; `wrapped`: angles on a circle within (-pi, pi]; `trig`: raw with their sin and cos.
-            reward: `dense`, the task's own; `sparse`: 1 at its goal and 0 elsewhere; `2020` (swing-up alone):
-                what that study paid, mistakes and all, and forces without limit.
-            max_episode_steps: episodes are truncated after so many steps; by default the task's horizon, and
-                with -1 never, as in Gymnasium.
+            num_envs: number of environments.
+            obs: observation type, as for `TaskEnv`.
+            reward: reward type, as for `TaskEnv`.
+            max_episode_steps: steps before an episode is truncated; None uses the task's horizon, and -1
+                never truncates, as in Gymnasium.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
-            threads: physics threads; 0 takes all CPUs. Results do not depend on it.
+            threads: physics threads; 0 uses all CPUs. Results do not depend on it.
             render_mode: `rgb_array` or None.
 
         Raises:
-            UsageError: an argument is none of these.
+            UsageError: an argument has another value, or a task does not fit its model.
         """
         gymnasium.utils.EzPickle.__init__(
             self, task, num_envs, obs, reward, max_episode_steps, autoreset_mode, threads, render_mode
@@ -74,17 +73,11 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self.task = find_task(task)
         if num_envs < 1:
             raise UsageError(f"num_envs must be 1 or more, got {num_envs}.")
-        if max_episode_steps is not None and max_episode_steps != -1 and max_episode_steps < 1:
-            raise UsageError(f"max_episode_steps is 1 or more, or -1 for no limit, got {max_episode_steps}.")
-        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
-        if mode not in MODES:
-            raise unknown("autoreset mode", mode, MODES)
         self.num_envs = num_envs
         self.obs = find_observation_type(obs)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
-        self.autoreset_mode = AutoresetMode(mode)
-        limit = self.task.horizon if max_episode_steps is None else max_episode_steps
-        self.max_episode_steps = np.iinfo(int).max if limit == -1 else limit
+        self.autoreset_mode = _find_autoreset_mode(autoreset_mode)
+        self.max_episode_steps = _step_limit(self.task, max_episode_steps)
         self._batch = TaskBatch(
             self.task, num_envs, threads=threads, reward=find_reward_type(reward, self.task)
         )
@@ -104,49 +97,50 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
 
     @property
     def states(self) -> np.ndarray:
-        """The planning state of each episode now [env, state]."""
+        """The current planning states [env, state]."""
         return self._batch.states.copy()
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts all episodes, or those of a mask.
+        """Start all episodes, or those in a mask.
 
         Args:
-            seed: restarts the random streams: s for s, s + 1, ...; or one for each, None to let one go on.
+            seed: the seeds of the random streams: a number s means s, s + 1, ...; a list has one for each, or
+                None to continue a stream.
             options: `{"state": ...}` starts from a given planning state, one for all or one for each;
-                `{"reset_mask": ...}` names the episodes that start, the others go on.
+                `{"reset_mask": ...}` chooses the environments that start; the others continue.
 
         Raises:
-            UsageError: seeds, states or mask have another shape.
+            UsageError: seeds, states or mask have the wrong shape.
         """
         options = options or {}
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + i for i in range(self.num_envs)]
         if seed is not None and len(seed) != self.num_envs:
-            raise UsageError(f"there are {self.num_envs} episodes, and {len(seed)} seeds.")
+            raise UsageError(f"expected {self.num_envs} seeds, one for each environment, got {len(seed)}.")
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise UsageError(f"reset_mask must be {self.num_envs} truth values, one of them true.")
+            raise UsageError(f"reset_mask must have {self.num_envs} truth values, at least one of them true.")
         for i in np.flatnonzero(mask):
             if seed is not None and seed[i] is not None:
                 self._rngs[i] = seeding.np_random(seed[i])[0]
         self._begin(mask, options.get("state"))
         self._started = True
         info: dict[str, Any] = {}
-        self._add_told(info, mask, np.zeros(self.num_envs, dtype=bool))
+        self._record_info(info, mask, np.zeros(self.num_envs, dtype=bool))
         return self._observe(), info
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Takes one step of every episode; ended ones begin anew as the autoreset mode says.
+        """Take one step in every environment; episodes that ended restart according to the autoreset mode.
 
-        Diverged physics truncate an episode, and its `info["diverged"]` is true.
+        If the physics of an episode diverge, it is truncated and its `info["diverged"]` is true.
 
         Raises:
-            UsageError: the actions have another shape or are not finite, or an ended episode was not reset.
-            gymnasium.error.ResetNeeded: nothing was reset yet.
+            UsageError: the actions have the wrong shape or are not finite, or an ended episode was not reset.
+            gymnasium.error.ResetNeeded: `reset` was not called before.
         """
         if not self._started:
             raise gymnasium.error.ResetNeeded("Cannot call env.step() before calling env.reset()")
@@ -160,7 +154,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         rewards, terminated, diverged = self._batch.step(actions)
         self._elapsed += 1
         truncated = diverged | (self._elapsed >= self.max_episode_steps)
-        if restarting.any():  # these were not meant to step
+        if restarting.any():  # in these environments this step is the reset
             rewards[restarting] = 0.0
             terminated, truncated = terminated & ~restarting, truncated & ~restarting
             diverged = diverged & ~restarting
@@ -171,25 +165,25 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             self._finish(info, self._ended, diverged)
             diverged = diverged & ~self._ended
             self._begin(self._ended)
-        self._add_told(info, np.ones(self.num_envs, dtype=bool), diverged)
+        self._record_info(info, np.ones(self.num_envs, dtype=bool), diverged)
         return self._observe(), rewards, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """The picture of each episode now [height, width, 3], where the mode is `rgb_array`."""
+        """Return an image [height, width, 3] of each environment if the render mode is `rgb_array`."""
         if self.render_mode != "rgb_array":
             return None
         return tuple(self._renderer.picture(i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees what drawing took."""
-        if hasattr(self, "_renderer"):  # Gymnasium before 1.3 closes what was refused, too
+        """Free the graphics library."""
+        if hasattr(self, "_renderer"):  # Gymnasium before 1.3 also closes environments that failed to start
             self._renderer.close()
 
     def _observe(self) -> np.ndarray:
         return self.task.observe_as(self.obs, self._batch.states, self._batch.targets).astype(np.float32)
 
     def _begin(self, mask: Bool[np.ndarray, " env"], given: Any = None) -> None:
-        """Begins the episodes of the mask at their own draws, or at given states."""
+        """Start the episodes in the mask from drawn states, or from given ones."""
         ids = np.flatnonzero(mask)
         starts = [self.task.sample_starts(1, self._rngs[i]) for i in ids]
         states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
@@ -199,17 +193,34 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         self._elapsed[ids], self._ended[ids] = 0, False
 
     def _finish(self, info: dict[str, Any], ended: np.ndarray, diverged: np.ndarray) -> None:
-        """Tells how the ended episodes ended, before they begin anew."""
+        """Record how the ended episodes ended, before they restart."""
         last = np.full(self.num_envs, None, dtype=object)
         obs = self._observe()
         for i in np.flatnonzero(ended):
             last[i] = obs[i]
         final: dict[str, Any] = {}
-        self._add_told(final, ended, diverged)
+        self._record_info(final, ended, diverged)
         info |= {"final_obs": last, "_final_obs": ended.copy()}
         info |= {"final_info": final, "_final_info": ended.copy()}
 
-    def _add_told(self, info: dict[str, Any], mask: np.ndarray, diverged: np.ndarray) -> None:
-        """Tells of the episodes in the mask, as Gymnasium's vector environments do: 0 for the others."""
+    def _record_info(self, info: dict[str, Any], mask: np.ndarray, diverged: np.ndarray) -> None:
+        """Record the state of the episodes in the mask, and 0 for the others, as Gymnasium does."""
         info |= {"state": np.where(mask[:, None], self._batch.states, 0.0), "_state": mask.copy()}
         info |= {"diverged": diverged & mask, "_diverged": mask.copy()}
+
+
+def _find_autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    name = mode.value if isinstance(mode, AutoresetMode) else mode
+    if name not in MODES:
+        raise unknown("autoreset mode", name, MODES)
+    return AutoresetMode(name)
+
+
+def _step_limit(task: Task, steps: int | None) -> int:
+    """The length at which episodes are truncated."""
+    limit = task.horizon if steps is None else steps
+    if limit == -1:
+        return np.iinfo(int).max
+    if limit < 1:
+        raise UsageError(f"max_episode_steps must be 1 or more, or -1 for no limit, got {limit}.")
+    return limit

@@ -44,6 +44,9 @@ def function_settings(value: Any, depth: int = 0) -> Any:
 def _callable_settings(value: Any, depth: int) -> Any:
     """Describe a function, a method with its object, or an object of a class."""
     down = functools.partial(function_settings, depth=depth + 1)
+    value = (
+        inspect.unwrap(value) if isinstance(value, FunctionType) else value
+    )  # its source has the decorators
     if isinstance(value, FunctionType):
         return _code(value, depth)
     if isinstance(value, MethodType):
