@@ -35,6 +35,9 @@ SMALLER = {
     "--steps 500000": "--steps 8000",
     "60_000": "2_000",
     "20_000": "4_000",
+    "500_000": "8_000",
+    "--steps 20000": "--steps 4000",
+    "steps=2000": "steps=20",
     "range(3)": "range(1)",
 }
 """Budgets of the pages, and the smaller budgets that the tests use."""
