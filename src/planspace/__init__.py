@@ -4,7 +4,7 @@ The public names below are imported when they are first used, so that `import pl
 nor MuJoCo: an embedding in someone's worker process needs neither.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 import importlib
 from typing import TYPE_CHECKING, Any
