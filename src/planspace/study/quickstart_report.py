@@ -27,7 +27,7 @@ GEOMETRY_ROWS = (
     ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
     ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
     ("effective_rank", "effective rank", "dimensions in use"),
-    ("decoded_error", "decoded error", "of the state read back from z, in deviations"),
+    ("decoded_error", "decoded error", "of the state decoded from z, in standard deviations"),
 )
 
 
