@@ -29,7 +29,7 @@ class Format:
     write: WriteFn | None = None
     """Write demonstrations to a target and return what was written. None if the format is only read."""
     is_file: bool = True
-    """Whether sources are files. `load_demos` reads other sources, such as Minari datasets, without an import."""
+    """Whether sources are files. `load_demos` reads other sources, such as Minari, without an import."""
 
 
 def has_suffix(suffix: str) -> Callable[[str], bool]:
