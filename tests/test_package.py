@@ -3,13 +3,30 @@
 import ast
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import pytest
 
 import planspace
 
 SOURCE = Path(planspace.__file__).parent
-ORDER = ["storage", "mjcf", "physics", "tasks", "demos", "plan", "embed", "envs", "rl", "figures", "study"]
-"""The stages: data flows in this direction, and so may no import flow against it."""
+GROUND_FLOOR = ("errors", "progress", "workers", "seams")
+STAGES = [
+    "storage",
+    "mjcf",
+    "physics",
+    "tasks",
+    "demos",
+    "plan",
+    "embed",
+    "envs",
+    "rl",
+    "figures",
+    "study",
+    "cli",
+]
+"""In this order; a stage imports only from the ground floor and from earlier stages."""
 
 
 def test_importing_planspace_is_light() -> None:
@@ -29,18 +46,70 @@ def test_using_a_wrapper_is_light(embedding_folder: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
-def imports(file: Path) -> set[str]:
-    tree = ast.parse(file.read_text())
-    found = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-    return found | {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+def imports(file: Path, *, at_import: bool = False) -> set[str]:
+    """Names that a file imports, of modules and of objects in modules.
+
+    Args:
+        file: a Python file.
+        at_import: leave out imports inside functions and for type checkers.
+    """
+    found: set[str] = set()
+    nodes: list[ast.AST] = [ast.parse(file.read_text())]
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        is_for_types = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if not (at_import and (is_function or is_for_types)):
+            nodes += ast.iter_child_nodes(node)
+    return found
 
 
-def test_stages_import_only_what_comes_before_them() -> None:
-    for position, stage in enumerate(ORDER):
-        later = tuple(f"planspace.{name}" for name in ORDER[position + 1 :])
-        for file in (SOURCE / stage).rglob("*.py"):
-            wrong = [name for name in imports(file) if name.startswith(later)]
-            assert wrong == [], f"{file} imports {wrong}"
+def modules() -> dict[str, Path]:
+    """Every module of the package by its full name."""
+    named = {}
+    for file in SOURCE.rglob("*.py"):
+        parts = ("planspace", *file.relative_to(SOURCE).with_suffix("").parts)
+        named[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return named
+
+
+def test_stages_import_only_earlier_stages() -> None:
+    """Also inside functions."""
+    for name, file in modules().items():
+        stage = name.split(".")[1] if "." in name else ""
+        if stage in STAGES:
+            later = STAGES[STAGES.index(stage) + 1 :]
+        elif stage in GROUND_FLOOR:
+            later = STAGES
+        else:
+            continue  # planspace/__init__.py and __main__.py offer all stages
+        forbidden = tuple(f"planspace.{other}" for other in later)
+        wrong = [
+            found for found in imports(file) if f"{found}.".startswith(tuple(f"{x}." for x in forbidden))
+        ]
+        assert wrong == [], f"{file} imports {wrong}"
+
+
+def test_every_folder_has_a_place_in_the_order() -> None:
+    folders = {path.name for path in SOURCE.iterdir() if (path / "__init__.py").exists()}
+    assert folders == set(STAGES)
+    assert {file.stem for file in SOURCE.glob("*.py")} - {"__init__", "__main__"} == set(GROUND_FLOOR)
+
+
+@pytest.mark.parametrize("at_import", [True, False], ids=["at import", "also inside functions"])
+def test_no_modules_import_each_other_in_a_circle(at_import: bool) -> None:
+    files = modules()
+    files.pop("planspace")  # imports its stages lazily, and every module imports it implicitly
+    graph = {name: imports(file, at_import=at_import) & files.keys() for name, file in files.items()}
+    graph = {name: {other for other in others if other != name} for name, others in graph.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError(f"these modules import each other: {error.args[1]}") from error
 
 
 def test_nothing_is_pickled() -> None:

@@ -1,4 +1,4 @@
-"""Which OpenGL backend MuJoCo can render with on this machine."""
+"""The OpenGL backend that MuJoCo can render with on this machine."""
 
 import os
 import shutil
@@ -12,9 +12,9 @@ RENDER_PROBE = (
 
 
 def rendering_backend() -> str | None:
-    """The first OpenGL backend MuJoCo can draw with here, named as in MUJOCO_GL, or None.
+    """Find the first OpenGL backend that works here, named as in MUJOCO_GL; None if no backend works.
 
-    Each is tried in a process of its own: a bad GL driver may abort it.
+    Each is tried in a subprocess, because a faulty GL driver may abort it.
     """
     for backend in _backends():
         environment = {**os.environ, "MUJOCO_GL": backend}
@@ -29,10 +29,10 @@ def rendering_backend() -> str | None:
 
 
 def rendering_advice() -> str:
-    """What to do where no backend works."""
+    """Say what to do if no backend works."""
     manager = "apt-get install libosmesa6" if shutil.which("apt-get") else "install OSMesa or an EGL driver"
     chosen = os.environ.get("MUJOCO_GL")
-    first = "" if chosen is None else f"unset MUJOCO_GL, which asks for {chosen!r}; else "
+    first = "" if chosen is None else f"unset MUJOCO_GL, which is set to {chosen!r}; otherwise "
     return f"{first}{manager}, set MUJOCO_GL=osmesa"
 
 

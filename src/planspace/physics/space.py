@@ -15,7 +15,6 @@ the body's frame there. For slides and hinges, states and tangents have the same
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -35,19 +34,10 @@ from planspace.physics.joints import (
     read_ball_range,
     read_bounds,
 )
+from planspace.physics.layout import Part, state_layout
 
 DEFAULT_VELOCITY_BOUND = 50.0
 """Bound on velocities [m/s, rad/s]; that of the 2020 planning problems."""
-
-
-class Part(NamedTuple):
-    """One number of a state, or the four numbers of a rotation."""
-
-    state: int
-    """Its first index in a state."""
-    tangent: int
-    """Its first index in a tangent."""
-    kind: Literal["slide", "hinge", "circle", "rotation", "velocity"]
 
 
 @dataclass(frozen=True)
@@ -300,8 +290,7 @@ class StateSpace:
 
     def in_bounds(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Whether each state is finite and within joint limits and velocity bounds."""
-        n = self.num_positions
-        positions, velocities = states[..., :n], states[..., n:]
+        positions, velocities = np.split(states, [self.num_positions], axis=-1)
         inside = ((positions >= self.low) & (positions <= self.high)).all(axis=-1)  # False for NaN
         if not self.kinematic:
             inside = inside & (np.abs(velocities) <= self.velocity_bound).all(axis=-1)
@@ -333,25 +322,10 @@ class StateSpace:
             return positions
         return np.concatenate([positions, qvel[..., list(self.qvel_index)]], axis=-1)
 
-    # --- indices ----------------------------------------------------------------------------------------
-
     @cached_property
     def layout(self) -> tuple[Part, ...]:
         """The parts of a state in order: positions joint by joint, then each velocity."""
-        parts: list[Part] = []
-        s = t = 0
-        for kind in self.kinds:
-            if kind == "free":
-                parts += [Part(s + k, t + k, "slide") for k in range(3)]
-                s, t = s + 3, t + 3
-            if kind in ("free", "ball"):
-                parts.append(Part(s, t, "rotation"))
-                s, t = s + 4, t + 3
-            else:
-                parts.append(Part(s, t, kind))
-                s, t = s + 1, t + 1
-        velocities = [] if self.kinematic else [Part(s + k, t + k, "velocity") for k in range(self.num_dofs)]
-        return tuple(parts + velocities)
+        return state_layout(self.kinds, 0 if self.kinematic else self.num_dofs)
 
     @cached_property
     def _rotations(self) -> tuple[tuple[int, int], ...]:
@@ -359,8 +333,8 @@ class StateSpace:
 
     @cached_property
     def _rotation_ranges(self) -> tuple[float, ...]:
-        kinds = zip(self.kinds, self.ball_range, strict=True)
-        return tuple(limit for kind, limit in kinds if kind in ("ball", "free"))
+        pairs = zip(self.kinds, self.ball_range, strict=True)
+        return tuple(limit for kind, limit in pairs if kind in ("ball", "free"))
 
     @cached_property
     def _plain_states(self) -> list[int]:

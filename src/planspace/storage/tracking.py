@@ -1,7 +1,7 @@
 """Curves for TensorBoard and Weights & Biases (extra `track`).
 
-TensorBoard takes the package `tensorboard` alone, neither TensorFlow nor PyTorch. Weights & Biases is never
-asked to log anyone in: without credentials its run stays in the folder, to be sent by `wandb sync`.
+TensorBoard only needs the package `tensorboard`, neither TensorFlow nor PyTorch. Weights & Biases never
+prompts for a login: without credentials it runs offline, and `wandb sync` uploads the run later.
 """
 
 import contextlib
@@ -19,25 +19,25 @@ from planspace.storage.files import make_folder, read_bytes, write_bytes
 
 TrackerName = Literal["tensorboard", "wandb"]
 AddScalars = Callable[[int, Mapping[str, float]], None]
-"""Writes numbers by name that belong to one step."""
+"""Function that writes named values of one step."""
 
 FILE_VERSION = "brain.Event:2"
-"""The format; every event file begins with it."""
+"""The format version, which every event file begins with."""
 
 
 class Tracker:
-    """Writes the scalars of a run, each when it is added, so that a crash loses none; see `open_tracker`.
+    """Writes the scalars of a run at once, so that a crash loses none; see `open_tracker`.
 
-    Tracking a run again in the same folder continues it: TensorBoard then drops what an interrupted run had
-    written from that step on.
+    Tracking a run again in the same folder continues it: TensorBoard then discards what the interrupted run
+    wrote from the first new step on.
     """
 
     def __init__(self, path: Path, file: BinaryIO, events: Any, record_writer: Any):
-        """Takes an open file.
+        """Use an open file.
 
         Args:
-            path: the file's name, for messages.
-            file: open and empty.
+            path: the file's path, for messages.
+            file: an open, empty file.
             events: the module `tensorboard.compat.proto.event_pb2`.
             record_writer: the class that frames and checks each event.
         """
@@ -45,14 +45,14 @@ class Tracker:
         self._started = False
 
     def add(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Writes numbers that belong to one step.
+        """Write the values of one step.
 
         Args:
-            step: of the optimiser or the environment.
-            scalars: by name; a name's part before a `/` groups it.
+            step: step of the optimiser or the environment.
+            scalars: values by name; the part of a name before `/` is its group.
 
         Raises:
-            PlanspaceError: they cannot be written.
+            PlanspaceError: the file cannot be written.
         """
         if not self._started:
             self._write(file_version=FILE_VERSION)
@@ -62,8 +62,8 @@ class Tracker:
         self._write(step=step, summary={"value": values})
 
     def close(self) -> None:
-        """Closes the file; nothing can be added any more."""
-        with contextlib.suppress(OSError):  # what was not written, `add` has said
+        """Close the file; nothing can be added afterwards."""
+        with contextlib.suppress(OSError):  # `add` has reported failed writes
             self._records.close()
 
     def __enter__(self) -> "Tracker":
@@ -84,7 +84,7 @@ class Tracker:
 
 
 def open_tracker(folder: Path) -> Tracker:
-    """Opens a run's folder for `tensorboard --logdir`, new or to be continued.
+    """Open a run's folder for `tensorboard --logdir`, new or to be continued.
 
     Raises:
         PlanspaceError: the package `tensorboard` is missing, or the folder cannot be written.
@@ -96,28 +96,29 @@ def open_tracker(folder: Path) -> Tracker:
         raise PlanspaceError(
             "curves for TensorBoard need the package tensorboard: pip install 'planspace[track]'."
         ) from error
-    path = make_folder(folder) / f"events.out.tfevents.{time.time_ns()}.{os.getpid()}"  # read in this order
+    # TensorBoard reads the files of a folder in the order of their names
+    path = make_folder(folder) / f"events.out.tfevents.{time.time_ns()}.{os.getpid()}"
     return Tracker(path, open(path, "xb"), event_pb2, RecordWriter)
 
 
 class WandbTracker:
-    """Sends the scalars of a run to Weights & Biases, or keeps them in the folder; see `open_wandb`."""
+    """Sends the scalars of a run to Weights & Biases, or stores them in the folder; see `open_wandb`."""
 
     def __init__(self, run: Any):
-        """Takes a run that has begun."""
+        """Use a run that `wandb.init` returned."""
         self._run = run
 
     def add(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Writes numbers that belong to one step; Weights & Biases drops those of a step it has already."""
+        """Write the values of one step; Weights & Biases ignores steps that it already has."""
         self._run.log(dict(scalars), step=step)
 
     def close(self) -> None:
-        """Ends the run."""
+        """Finish the run."""
         self._run.finish()
 
 
 def open_wandb(folder: Path) -> WandbTracker:
-    """Begins or continues the run of a folder.
+    """Start or continue the run of a folder.
 
     Raises:
         PlanspaceError: the package `wandb` is missing, or the folder cannot be written.
@@ -144,14 +145,14 @@ def open_wandb(folder: Path) -> WandbTracker:
         )
     except wandb.errors.Error as error:
         raise PlanspaceError(
-            f"Weights & Biases does not take the run ({' '.join(str(error).split())}). Set "
-            "WANDB_MODE=offline to keep it in its folder, or leave out --track wandb."
+            f"Weights & Biases rejected the run ({' '.join(str(error).split())}). Set "
+            "WANDB_MODE=offline to store it in its folder, or leave out --track wandb."
         ) from error
     return WandbTracker(run)
 
 
 def _wandb_id(folder: Path) -> str:
-    """What a folder's run is called there; made once, so that continuing the folder continues the run."""
+    """The id of a folder's run; made once, so that continuing the folder continues the run."""
     path = make_folder(folder / "wandb") / "planspace-run-id"
     if not path.exists():
         write_bytes(path, secrets.token_hex(6).encode())
@@ -169,11 +170,14 @@ def _has_wandb_credentials() -> bool:
 
 @contextlib.contextmanager
 def open_trackers(names: Sequence[TrackerName], folder: Path) -> Iterator[AddScalars]:
-    """Opens what shows a run's curves: TensorBoard in `folder`/tensorboard, Weights & Biases in `folder`.
+    """Open the trackers of a run: TensorBoard in `folder`/tensorboard, Weights & Biases in `folder`.
 
     Args:
-        names: which of them; none is fine.
-        folder: the run's.
+        names: names of the trackers; may be empty.
+        folder: the run's folder.
+
+    Yields:
+        A function that writes the values of one step to all of them.
 
     Raises:
         PlanspaceError: a package is missing, or the folder cannot be written.
