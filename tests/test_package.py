@@ -1,4 +1,4 @@
-"""What holds for the package as a whole."""
+"""Rules for the package as a whole."""
 
 import ast
 import subprocess
@@ -6,12 +6,12 @@ import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 import planspace
 
 SOURCE = Path(planspace.__file__).parent
-GROUND_FLOOR = ("errors", "progress", "workers", "seams")
+GROUND_FLOOR = ("errors", "progress", "workers", "seams", "summary")
+MAX_LINES = 350
+"""Lines of a file in src, tests or benchmarks."""
 STAGES = [
     "storage",
     "mjcf",
@@ -100,16 +100,23 @@ def test_every_folder_has_a_place_in_the_order() -> None:
     assert {file.stem for file in SOURCE.glob("*.py")} - {"__init__", "__main__"} == set(GROUND_FLOOR)
 
 
-@pytest.mark.parametrize("at_import", [True, False], ids=["at import", "also inside functions"])
-def test_no_modules_import_each_other_in_a_circle(at_import: bool) -> None:
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """At import. A config may import inside a function what `--help` does not need."""
     files = modules()
     files.pop("planspace")  # imports its stages lazily, and every module imports it implicitly
-    graph = {name: imports(file, at_import=at_import) & files.keys() for name, file in files.items()}
+    graph = {name: imports(file, at_import=True) & files.keys() for name, file in files.items()}
     graph = {name: {other for other in others if other != name} for name, others in graph.items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         raise AssertionError(f"these modules import each other: {error.args[1]}") from error
+
+
+def test_no_file_is_longer_than_350_lines() -> None:
+    root = Path(__file__).parents[1]
+    files = [file for folder in ("src", "tests", "benchmarks") for file in (root / folder).rglob("*.py")]
+    lengths = {file: len(file.read_text().splitlines()) for file in files}
+    assert {file: length for file, length in lengths.items() if length > MAX_LINES} == {}
 
 
 def test_nothing_is_pickled() -> None:
