@@ -105,12 +105,12 @@ class Render:
 
 @dataclass(frozen=True)
 class Import:
-    """Make a dataset from demonstrations in another format: NPZ, CSV, Minari, or the plans of 2020."""
+    """Make a dataset from demonstrations in another format, such as NPZ, CSV or Minari."""
 
-    source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE", help_behavior_hint="(required)")]]
-    """FILE.npz with `states`, `controls`, `time`, `offsets`; FILE.csv with one demonstration per file or a
-    column `episode`; minari:ID; plans of 2020 as .json or .out. Several files, or a folder of files, make one
-    dataset."""
+    source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]]
+    """The demonstrations, for example FILE.npz with `states`, `controls`, `time` and `offsets`, FILE.csv with
+    one demonstration or a column `episode`, or minari:ID. Several files, or a folder of files, make one
+    dataset. Without a source, all formats are listed."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The dataset folder to make."""
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
@@ -151,8 +151,9 @@ class Export:
     """Write a dataset in a format that `demos import` reads."""
 
     folder: DemosFolder
-    target: Positional[Annotated[str, arg(metavar="FILE.npz|FILE.csv|minari:ID")]]
-    """The file to write. A Minari dataset is stored in Minari's own folder."""
+    target: Positional[Annotated[str, arg(metavar="TARGET")]]
+    """What to write: FILE.npz, FILE.csv, or minari:ID, which is stored in Minari's own folder. The formats are
+    those of `demos import` that can be written."""
 
     def __call__(self) -> None:
         """Export the dataset."""

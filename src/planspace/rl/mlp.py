@@ -29,7 +29,11 @@ class MLP(eqx.Module):
         self.layer_norm = layer_norm
 
     def __call__(self, x: Float[Array, " in"]) -> Float[Array, " out"]:
-        """The output for one input."""
+        """The output for one input.
+
+        This is `embed.mlp.forward`, except that XLA rounds `weight @ x` and `x @ weight.T` differently, and
+        policies must not depend on the version that trained them.
+        """
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = weight @ x + bias
             if self.layer_norm:

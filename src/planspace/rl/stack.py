@@ -6,6 +6,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from planspace.embed.mlp import forward
+
 VARIANCE_FLOOR = 1e-5
 """Added to the variance in layer normalisation, so that it is never divided by 0."""
 
@@ -35,19 +37,21 @@ class Stack:
 
     def __init__(self, weights: Sequence[np.ndarray], biases: Sequence[np.ndarray], *, layer_norm: bool):
         """Copy weights [seed, out, in] and biases [seed, out] of each layer."""
-        self._weights = [np.ascontiguousarray(np.asarray(w).transpose(0, 2, 1)) for w in weights]
-        self._biases = [np.asarray(b)[:, None, :] for b in biases]
+        self._layers = [
+            (np.ascontiguousarray(np.asarray(weight).transpose(0, 2, 1)), np.asarray(bias)[:, None, :])
+            for weight, bias in zip(weights, biases, strict=True)
+        ]
         self._layer_norm = layer_norm
 
     def __call__(self, x: Float[np.ndarray, "seed row in"]) -> Float[np.ndarray, "seed row out"]:
         """Output of each network for each of its rows."""
-        for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
-            x = x @ weight + bias
-            if self._layer_norm:
-                x = x - x.mean(axis=-1, keepdims=True)
-                x = x / np.sqrt(np.mean(x**2, axis=-1, keepdims=True) + VARIANCE_FLOOR)
-            x = np.tanh(x)
-        return x @ self._weights[-1] + self._biases[-1]
+        return forward(self._layers, x, self._squash)
+
+    def _squash(self, x: np.ndarray) -> np.ndarray:
+        if self._layer_norm:
+            x = x - x.mean(axis=-1, keepdims=True)
+            x = x / np.sqrt(np.mean(x**2, axis=-1, keepdims=True) + VARIANCE_FLOOR)
+        return np.tanh(x)
 
 
 def stacked(networks: Sequence[Layers]) -> Stack:
