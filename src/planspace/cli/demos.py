@@ -152,8 +152,8 @@ class Export:
 
     folder: DemosFolder
     target: Positional[Annotated[str, arg(metavar="TARGET")]]
-    """What to write: FILE.npz, FILE.csv, or minari:ID, which is stored in Minari's own folder. The formats are
-    those of `demos import` that can be written."""
+    """FILE.npz, FILE.csv, or minari:ID, which is stored in Minari's own folder; or another format that
+    `demos import` reads and planspace writes."""
 
     def __call__(self) -> None:
         """Export the dataset."""
