@@ -28,6 +28,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUDGETS, "smoke", TINY)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 def test_goes_through_every_stage_and_does_no_finished_work_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -73,6 +74,7 @@ def test_goes_through_every_stage_and_does_no_finished_work_twice(
     assert trained == ["raw", "trig", "trig-z"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("task", ["cartpole", "reacher-trig", "reacher-raw"])
 def test_every_task_runs(task: str, tmp_path: Path) -> None:
@@ -81,6 +83,7 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
     assert (tmp_path / "run" / "report.html").stat().st_size > 1e6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
 def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) -> None:
     from planspace.demos.load import load_demos

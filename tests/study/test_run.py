@@ -9,7 +9,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from planspace.demos.load import load_demos
@@ -18,21 +17,20 @@ from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.study import run as module
-from planspace.study.design import Arm, Claim
+from planspace.study.design import Arm
 from planspace.study.execute import folder_of, is_done, read_result, result_file
-from planspace.study.findings import Findings
 from planspace.study.pool import LocalPool
 from planspace.study.report import write_report
 from planspace.study.run import failures, open_results, run_study, units_to_run
-from planspace.study.stats import Scores
 from planspace.study.summary import read_findings, summarise
 from planspace.study.tables import as_text
-from planspace.study.unit import PolicyUnit, Unit
+from planspace.study.unit import Unit
 from planspace.tasks.problem_file import load_problem
 from planspace.workers import WORKER_ENVIRONMENT, count_cores
 
-from ..tiny_study import BASE, FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
+from ..tiny_study import FIT, PLANS, RAW, TINY, WITH_Z, policy, run_alone, what_was_found
 
+pytestmark = pytest.mark.slow  # every test here runs units of a study
 KILLS = 3
 PLANNER = PlanConfig.for_problem(load_problem(PLANS.problem), **dict(PLANS.settings))
 
@@ -183,15 +181,6 @@ def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:
     assert read_result(PLANS, copied).found.hash == "of another machine"
 
 
-def test_claims_wait_for_all_seeds(copied: Path) -> None:
-    seeds = tuple(policy(seed) for seed in range(6))
-    study = replace(TINY, arms=(replace(RAW, units=seeds), WITH_Z), claims=())
-    claim = Claim("near 100", "ours", "final", RAW.name, "", margin=1.0)
-    scores = Scores(tuple(range(5)), np.array([8000]), np.full((1, 5), 99.0), 0)
-    found = summarise(Findings(replace(study, claims=(claim,)), {}, {RAW.name: scores}, {})).claims[0]
-    assert found.verdict == "not finished" and found.number == 99.0
-
-
 def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
     config = json.loads((copied / "config.json").read_text())
     config["versions"]["planspace"] = "0.0.1"
@@ -219,53 +208,6 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
     assert summary.embeddings[0].demos == 12 and summary.over_tasks == []  # one task
     assert summary.time.timed_units == 6
     assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
-
-
-def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
-    arms = [
-        Arm(f"{task}, TRPO", label, (PolicyUnit(unit_task, BASE),))
-        for task, unit_task in (("cartpole", "cartpole"), ("reacher-trig", "reacher-raw"))  # a shared unit
-        for label in ("raw", "z only")
-    ]
-    study = replace(TINY, arms=tuple(arms), claims=())
-    reached = {arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms}  # half way, each
-    steps = np.array([400_000])
-    scores = {name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0) for name, values in reached.items()}
-    rows = summarise(Findings(study, {}, scores, {})).over_tasks
-    assert [(row.algo, row.arm, row.tasks) for row in rows] == [
-        ("TRPO", "raw", 2),
-        ("TRPO", "z only", 2),
-    ]
-    assert all(row.iqm == 0.5 and row.iqm_interval == (0.5, 0.5) for row in rows)
-    alone = replace(study, arms=(arms[0], arms[2]))
-    assert summarise(Findings(alone, {}, scores, {})).over_tasks == []  # one arm is compared with nothing
-
-
-@pytest.mark.parametrize(
-    ("claim", "rule"),
-    [
-        (Claim("", "", "final", "a/x", "a/y"), "final: x − y > 0"),
-        (Claim("", "", "final", "a/x", "a/y", "less", 5.0), "final: x − y < -5"),
-        (Claim("", "", "early", "a/x", "a/y", "less"), "early: x − y < 0"),
-        (Claim("", "", "best", "a/x", "a/y", "same", 5.0), "best: x − y within ±5"),
-        (Claim("", "", "final", "a/x", "", margin=80.0), "final: x > 80"),
-        (Claim("", "", "spread", "a/x", "a/y"), "deviation: y / x > 1"),
-        (Claim("", "", "final", "a/x", "b/x"), "final: x (a) − x (b) > 0"),
-    ],
-)
-def test_what_makes_a_claim_hold_is_said(claim: Claim, rule: str) -> None:
-    arms = tuple(Arm(panel, label, (policy(0),)) for panel in "ab" for label in "xy")
-    found = summarise(Findings(replace(TINY, arms=arms, claims=(claim,)), {}, {}, {})).claims[0]
-    assert found.rule == rule
-
-
-def test_a_spread_is_judged_by_its_logarithm_and_read_as_a_ratio() -> None:
-    arms, steps = tuple(Arm("a", label, (policy(0),)) for label in "xy"), np.array([8000])
-    study = replace(TINY, arms=arms, claims=(Claim("", "", "spread", "a/x", "a/y"),))
-    x, seeds = np.arange(20.0)[None], tuple(range(20))
-    scores = {"a/x": Scores(seeds, steps, x, 0), "a/y": Scores(seeds, steps, 3 * x, 0)}
-    found = summarise(Findings(study, {}, scores, {})).claims[0]
-    assert found.number == pytest.approx(3.0) and found.interval == pytest.approx((3.0, 3.0))
 
 
 def test_no_more_workers_than_cores(tmp_path: Path) -> None:
@@ -314,7 +256,6 @@ def files(out: Path) -> dict[Path, int]:
     return found
 
 
-@pytest.mark.slow
 def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
     out, rng = tmp_path / "out", random.Random(0)
     for _ in range(KILLS):
@@ -328,7 +269,6 @@ def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tm
     assert what_was_found(TINY, out) == what_was_found(TINY, finished)
 
 
-@pytest.mark.slow
 def test_an_interrupt_stops_the_workers_too(tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL)

@@ -15,6 +15,7 @@ Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
 SPREADS: tuple[Measure, ...] = ("spread", "early_spread")
 Expectation = Literal["more", "less", "same"]
 
+RAW, SWING_UP = "raw", "cartpole-swingup"
 BLOCK = 5
 """Seeds of a unit; the units of an arm merge, so 15 seeds become 50 without running the first 15 again."""
 
@@ -199,6 +200,11 @@ def _closure(units: Iterable[Unit]) -> Iterator[Unit]:
     for unit in units:
         yield from _closure(unit.needs)
         yield unit
+
+
+def better(panel: str, text: str, arm: str, other: str) -> Claim:
+    """The claim that the final return of an arm is higher than that of another arm of the same figure."""
+    return Claim(f"{panel}: {text}", "ours", "final", f"{panel}/{arm}", f"{panel}/{other}")
 
 
 def panel_of(task: str, algo: str) -> str:

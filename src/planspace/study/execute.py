@@ -35,7 +35,7 @@ from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import read_description, write_sealed
 from planspace.storage.provenance import Provenance
-from planspace.study.plans_2020 import wound_plans
+from planspace.study.plans_2020 import winding_plans
 from planspace.study.results import (
     Film,
     FitResult,
@@ -159,7 +159,7 @@ def keep_result(unit: Unit, out: Path, result: UnitResult) -> None:
 def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
     problem = load_problem(unit.problem)
     if unit.source == "2020":
-        wound_plans(problem, folder, unit.num, unit.seed)
+        winding_plans(problem, folder, unit.num, unit.seed)
     else:
         config = PlanConfig.for_problem(problem, **dict(unit.settings))
         with suppress(PartialResult):  # those that were found are demonstrations all the same

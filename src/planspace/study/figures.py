@@ -17,7 +17,7 @@ from planspace.rl.learning_curve import Curve
 from planspace.study.tables import ArmRow
 
 Profile = tuple[np.ndarray, np.ndarray]
-"""Returns, and the share of seeds that reached more than each."""
+"""Returns, and the fraction of seeds above it than each."""
 DASHES = ("solid", "dash", "dot")
 MAX_PATHS = 20
 """More paths than this hide each other in a flat picture; the first ones are drawn."""
@@ -73,7 +73,7 @@ def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
 
 
 def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.figure.Figure:
-    """Performance profiles of several arms: the share of seeds that reached more than each return."""
+    """Performance profiles of several arms: the fraction of seeds above each return."""
     figure = matplotlib.figure.Figure(figsize=(9.5, 4.3), layout="constrained")
     axes = figure.subplots()
     for i, (label, (returns, shares)) in enumerate(profiles.items()):
@@ -82,8 +82,8 @@ def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.fig
         axes.plot(
             returns, shares, drawstyle="steps-post", color=COLOURS[colour], linestyle=style, label=label
         )
-    axes.set_xlabel("mean return at the end of training")
-    axes.set_ylabel("share of seeds that reached more")
+    axes.set_xlabel("final return")
+    axes.set_ylabel("fraction of seeds above it")
     axes.set_ylim(-0.02, 1.02)
     axes.set_title(title, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
@@ -111,7 +111,7 @@ def plot_reached(
         axes.plot(row.mean, i, "D", color=colour, markersize=6, markeredgecolor="white")
     axes.set_yticks(range(len(reached)), labels=list(reached))
     axes.invert_yaxis()
-    axes.set_xlabel("mean return at the end of training: seeds, their mean, its 95 % interval")
+    axes.set_xlabel("final return: seeds, their mean, its 95 % interval")
     axes.set_title(title, loc="left")
     axes.grid(axis="x", color="0.9")
     axes.set_axisbelow(True)
@@ -126,8 +126,8 @@ def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
         again, colour = divmod(i, len(COLOURS))
         line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[again % len(DASHES)]}
         figure.add_scatter(x=returns, y=shares, name=label, mode="lines", line=line)
-    titles = {"xaxis_title": "mean return at the end of training"}
-    figure.update_layout(yaxis_title="share of seeds that reached more", **titles, **_flat_layout())
+    titles = {"xaxis_title": "final return"}
+    figure.update_layout(yaxis_title="fraction of seeds above it", **titles, **_flat_layout())
     return figure
 
 

@@ -3,9 +3,12 @@
 from collections.abc import Callable
 
 from planspace.errors import UsageError, unknown
-from planspace.study.beyond import controls, demos, recipe, shaping
+from planspace.study.controls import controls
+from planspace.study.demonstrations import demos
 from planspace.study.design import BLOCK, Budget, Builder, Study
 from planspace.study.paper import paper
+from planspace.study.recipe import recipe
+from planspace.study.shaping import shaping
 
 BUDGETS: dict[str, Budget] = {
     "smoke": Budget(steps=12_000, seeds=2, plans=12, embeddings=2, restarts=1, fit_steps=300),

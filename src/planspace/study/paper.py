@@ -6,10 +6,10 @@ from dataclasses import replace
 from planspace.embed.config import PRESETS
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
-from planspace.study.design import Arm, Builder, Claim, Measure, Study, panel_of
+from planspace.study.design import RAW, Arm, Builder, Claim, Measure, Study, panel_of
 from planspace.tasks.catalog import TASKS
 
-RAW, LOW_Z, HIGH_Z = "raw", "low-Z augment", "high-Z augment"
+LOW_Z, HIGH_Z = "low-Z augment", "high-Z augment"
 ONLY_LOW_Z, ONLY_HIGH_Z = "low-Z only", "high-Z only"
 LOW_DIM, HIGH_DIM = 3, 10
 ALGOS: tuple[str, ...] = ("trpo", "ppo")

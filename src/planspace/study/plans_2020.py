@@ -1,12 +1,13 @@
-"""Demonstrations as wrong as those of 2020, to learn what such demonstrations are worth.
+"""Demonstrations with the errors of those of 2020, to measure what such demonstrations are worth.
 
-The planner of 2020 did not bring angles to the circle before it measured how far apart they are: beyond a
-turn the distance fell below zero, so that winding the pole up counted as coming near. Its controls were
-within +-1 of the +-3 there are; a plan was done when the sum of differences was at most 0.1.
+The planner of 2020 did not wrap angles to the circle before it measured distances. Beyond one rotation the
+distance became negative, so winding the pole up looked like progress. Its controls were within +-1, although
++-3 are allowed. A plan was finished when the sum of absolute differences was at most 0.1.
 
-Here such plans come from random shooting: of some random pushes those are begun whose pole has most energy
-and has turned farthest, until that measure says it has arrived: pole wound up, nothing near the goal. They
-end where the released ones do, at angles near +-11 and speeds near 3, after some 230 steps.
+This module makes such plans by random shooting: among random pushes it begins the ones whose pole has the
+most energy and has rotated farthest, until the measure of 2020 says that the goal is reached. The pole is
+then wound up, and the state is far from the goal. Like the released plans, these end at angles near +-11 and
+speeds near 3, after about 230 steps.
 """
 
 from pathlib import Path
@@ -27,33 +28,33 @@ PROBLEM = "cartpole-swingup"
 """Whose states are (x, theta, xdot, thetadot)."""
 ANGLE, SPEED = 1, 3
 HOLD = 5
-"""Physics steps a control is held; in 2020 1 to 10."""
+"""Physics steps for which a control is held; 1 to 10 in 2020."""
 PUSHES, AHEAD = 64, 8
-"""Sequences that are tried, and controls of each."""
+"""Number of sequences that are tried, and number of controls in each."""
 KEPT = 0.8
-"""Half of the sequences are the best one so far, each control with this probability."""
+"""Half of the sequences copy each control of the best sequence so far with this probability."""
 GRAVITY = 23.4
 """m g l / I of the pole about its hinge [1/s^2]: its energy over its inertia is thetadot^2 / 2 + this times
 its height, 1 + cos theta."""
 ENOUGH = 60.0
-"""Energy over inertia beyond which more is not sought; 46.8 is a pole at rest on top [1/s^2]."""
+"""Energy over inertia that is enough; a pole at rest on top has 46.8 [1/s^2]."""
 A_RADIAN = 5.0
-"""What a radian it has turned is worth in these units."""
+"""Value of one radian of rotation in these units."""
 MAX_STEPS = 400
-TURN = 2 * np.pi
+ROTATION = 2 * np.pi
 
 
-def wound_plans(problem: Problem, out: Path, num: int, seed: int) -> DemoFolder:
-    """Makes such demonstrations; the same call continues an interrupted one.
+def winding_plans(problem: Problem, out: Path, num: int, seed: int) -> DemoFolder:
+    """Make plans with winding; the same call continues an interrupted one.
 
     Args:
         problem: the swing-up.
         out: the dataset's folder.
-        num: how many.
-        seed: of all of them.
+        num: number of plans.
+        seed: seed of all plans.
     """
     if problem.name != PROBLEM:
-        raise PlanspaceError(f"poles are wound up in {PROBLEM} alone, not in {problem.name}.")
+        raise PlanspaceError(f"plans with winding exist only for {PROBLEM}, got {problem.name}.")
     model, space = problem.compile()
     simulator = Simulator(model, space, PUSHES, threads=1)
     settings = DatasetSettings(problem=problem.hash, planner="wound up as in 2020", seed=seed)
@@ -72,9 +73,9 @@ def wound_plans(problem: Problem, out: Path, num: int, seed: int) -> DemoFolder:
 def distance_of_2020(
     state: Float[np.ndarray, " state"], goal: Float[np.ndarray, " state"]
 ) -> Float[np.ndarray, ""]:
-    """Sum of absolute differences, the angle's falling again beyond half a turn, without end."""
+    """Sum of absolute differences; that of the angle falls without end beyond half a rotation."""
     apart = np.abs(state - goal)
-    apart[ANGLE] = min(apart[ANGLE], TURN - apart[ANGLE])
+    apart[ANGLE] = min(apart[ANGLE], ROTATION - apart[ANGLE])
     return np.asarray(apart.sum())
 
 
@@ -82,7 +83,7 @@ def _plan(problem: Problem, simulator: Simulator, index: int, rng: np.random.Gen
     goal = np.array(problem.goal.low)
     states, controls, best = [problem.draw_start(simulator, rng)], [], np.empty((0, 1))
     while distance_of_2020(states[-1], goal) > problem.tolerance:
-        if len(controls) >= MAX_STEPS:  # it got nowhere: from another start
+        if len(controls) >= MAX_STEPS:  # no progress: try another start
             states, controls, best = [problem.draw_start(simulator, rng)], [], np.empty((0, 1))
         pushes = rng.uniform(-1.0, 1.0, (AHEAD, PUSHES, 1))
         near = pushes[: len(best), : PUSHES // 2]

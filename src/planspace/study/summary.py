@@ -179,7 +179,7 @@ def _rule(claim: Claim, arms: list[Arm]) -> str:
     arm, other = (names.get(name, name) for name in (claim.arm, claim.other))
     if claim.measure in SPREADS:
         when = " early" if claim.measure == "early_spread" else ""
-        return f"deviation{when}: {other} / {arm} > 1"
+        return f"standard deviation{when}: {other} / {arm} > 1"
     number = f"{claim.measure}: {arm}" + (f" − {other}" if other else "")
     if claim.expects == "same":
         return f"{number} within ±{claim.margin:g}"

@@ -6,7 +6,7 @@ import pytest
 from planspace.demos.load import load_demos
 from planspace.errors import PlanspaceError
 from planspace.physics.replay import replay
-from planspace.study.plans_2020 import MAX_STEPS, distance_of_2020, wound_plans
+from planspace.study.plans_2020 import MAX_STEPS, distance_of_2020, winding_plans
 from planspace.tasks.problem_file import load_problem
 
 GOAL = np.zeros(4)
@@ -24,9 +24,10 @@ def test_beyond_a_turn_the_distance_of_2020_is_negative(theta: float, expected: 
     assert distance_of_2020(moving, GOAL) == pytest.approx(expected + 3.5)
 
 
-def test_such_plans_are_wound_up_and_near_by_that_measure_alone(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_plans_with_winding_reach_the_goal_only_by_the_distance_of_2020(tmp_path: Path) -> None:
     problem = load_problem("cartpole-swingup")
-    wound_plans(problem, tmp_path / "demos", 3, seed=0)
+    winding_plans(problem, tmp_path / "demos", 3, seed=0)
     demos = load_demos(tmp_path / "demos")
     model, space = demos.info.compile()
     assert np.abs(demos.controls).max() <= 1.0 and not demos.success.any()
@@ -39,10 +40,10 @@ def test_such_plans_are_wound_up_and_near_by_that_measure_alone(tmp_path: Path) 
         assert 20 < len(episode.controls) <= MAX_STEPS + 10
         again = replay(model, space, episode.states[0], episode.controls, episode.times)
         np.testing.assert_allclose(again, episode.states, atol=1e-9)
-    wound_plans(problem, tmp_path / "demos", 3, seed=0)  # nothing left to do
+    winding_plans(problem, tmp_path / "demos", 3, seed=0)  # nothing left to do
     assert load_demos(tmp_path / "demos").hash == demos.hash
 
 
-def test_only_the_swing_up_can_be_wound_up(tmp_path: Path) -> None:
-    with pytest.raises(PlanspaceError, match="poles are wound up in cartpole-swingup alone, not in reacher"):
-        wound_plans(load_problem("reacher"), tmp_path / "demos", 1, seed=0)
+def test_only_the_swing_up_has_plans_with_winding(tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="exist only for cartpole-swingup, got reacher"):
+        winding_plans(load_problem("reacher"), tmp_path / "demos", 1, seed=0)
