@@ -26,6 +26,7 @@ from planspace.storage.files import file_hash
 from ..conftest import QUICK_FIT
 
 
+@pytest.mark.slow
 def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
     demos: Demos, tmp_path: Path
 ) -> None:
@@ -41,6 +42,7 @@ def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
     assert z["active_dims"] == 3
 
 
+@pytest.mark.slow
 def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +66,7 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     assert file_hash(tmp_path / "cut" / name) == file_hash(tmp_path / "whole" / name)
 
 
+@pytest.mark.slow
 def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=50, batch=16)
     alone = fit_embedding(demos, out=tmp_path / "alone", config=config, num_seeds=1, seed=1, split_seed=0)
@@ -80,6 +83,7 @@ def test_seeds_are_stepped_in_twos_and_threes(num_seeds: int) -> None:
     assert {len(group) for group in groups} <= ({2, 3} if num_seeds > 1 else {1})
 
 
+@pytest.mark.slow
 def test_the_number_of_cores_does_not_matter_to_the_last_bit(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -96,6 +100,7 @@ def test_a_device_that_is_not_there_is_named() -> None:
         training.use_device("abacus")
 
 
+@pytest.mark.slow
 def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None:
     embedding = fit_embedding(
         demos, out=tmp_path / "e", config=replace(PRESETS["paper"], steps=100), num_seeds=1, seed=0
@@ -146,7 +151,10 @@ def test_finished_training_is_returned_and_other_settings_refused(
         fit_embedding(demos, out=embedding_folder, config=replace(QUICK_FIT, z_dim=10), num_seeds=2)
 
 
-@pytest.mark.parametrize("broken", [99, 150, 249])
+@pytest.mark.parametrize(
+    "broken",
+    [pytest.param(99, marks=pytest.mark.slow), 150, pytest.param(249, marks=pytest.mark.slow)],
+)
 def test_divergence_is_caught_at_its_step_and_saved_as_before(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: int
 ) -> None:
@@ -194,7 +202,14 @@ def _cut(demos: Demos, i: int, length: int) -> Episode:
 
 
 @pytest.mark.parametrize(
-    "name", ["direct", "vae", "e2c", "straightening", "distance", "pca", "random", "shuffled"]
+    "name",
+    [
+        "pca",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("direct", "vae", "e2c", "straightening", "distance", "random", "shuffled")
+        ),
+    ],
 )
 def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: str) -> None:
     config = replace(QUICK_FIT.with_objective(name), steps=30)
@@ -204,6 +219,7 @@ def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: 
     assert load_embedding(tmp_path / "e").hash == embedding.hash
 
 
+@pytest.mark.slow
 def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) -> None:
     short, long = (
         fit_embedding(
@@ -219,6 +235,7 @@ def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) ->
     assert long.about["metrics"]["train"]["decoded_error"] < short.about["metrics"]["train"]["decoded_error"]
 
 
+@pytest.mark.slow
 def test_named_columns_alone_are_read(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=30, columns=("hingevel", "hinge"))
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
@@ -249,6 +266,7 @@ def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) ->
     assert "straightness" in (embedding_folder / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     config = replace(QUICK_FIT, steps=20)
@@ -258,6 +276,7 @@ def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> No
     assert events.Scalars("bound/seed 4")[-1].step == 20
 
 
+@pytest.mark.slow
 def test_a_running_average_lags_behind(demos: Demos, tmp_path: Path) -> None:
     def weights(name: str, average: float) -> np.ndarray:
         config = replace(QUICK_FIT, steps=50, average=average)
@@ -289,6 +308,7 @@ def test_numbers_out_of_range_are_named() -> None:
             PRESETS["modern"].with_settings(**changes)
 
 
+@pytest.mark.slow
 def test_z_of_any_size(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=20, z_dim=10)
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)

@@ -23,7 +23,11 @@ from planspace.embed.steps import sample_terms
 
 MODEL = PlanSpaceModel(4, 3, (64, 64), 0.1, num_controls=2, key=jr.key(0))
 PAPER = Variational(linearity=0.5, prior=1.0, off_data_weight=0.0)
-TRAINED = [name for name in OBJECTIVES if name != "pca"]
+TRAINED = [
+    name if name == "variational" else pytest.param(name, marks=pytest.mark.slow)
+    for name in OBJECTIVES
+    if name != "pca"
+]
 HALF = jnp.array(0.5)
 
 

@@ -23,6 +23,7 @@ CONFIG = replace(PRESETS["modern"], steps=100, batch=32, hidden=(16, 16))
 PAGE = r"[Ss]ee docs/howto/own-objective.md\."
 
 
+@pytest.mark.slow
 def test_a_function_gives_the_embedding_of_the_shipped_objective_with_the_same_loss(demos: Demos) -> None:
     ours = fit_embedding(demos, "direct", config=CONFIG, num_seeds=2, verbose=False)
     own = fit_embedding(demos, midpoint_loss, config=CONFIG, num_seeds=2, verbose=False)
