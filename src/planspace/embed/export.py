@@ -1,14 +1,14 @@
-"""An embedding's encoder as an ONNX file, for runtimes that have no Python (extra `onnx`).
+"""Export an embedding's encoder as an ONNX file, for programs without Python (extra `onnx`).
 
 The graph, for states x [batch, n] in float32:
 
-    features    x as it is, or its straight columns beside sin and cos of its circular ones
-    centred     features - mean, the mean taken off in two float32 parts
-    h           ReLU layers; 1 / deviation is folded into the first weights
-    mu, sigma   linear; ELU of a linear layer, + 1 (equation 12), through the embedding's turn
+    features    x as it is; for `trig`, the other columns, then sin and cos of the circular ones
+    centred     features - mean; the mean is subtracted in two float32 parts
+    h           ReLU layers; 1 / std is folded into the first weights
+    mu, sigma   linear; ELU of a linear layer, + 1 (equation 12); then the embedding's linear map
 
-Folding the mean into the first bias as well would lose digits wherever a state is large beside its deviation.
-Angles are not reduced first: the runtime's sin and cos of float32 are exact to 1e-7 at any number of turns.
+The mean is not folded into the first bias: that would lose digits where a state is large compared with its
+standard deviation. Angles are not wrapped: the runtime's sin and cos are exact to 1e-7 at any angle.
 """
 
 import json
@@ -25,27 +25,27 @@ from planspace.errors import PlanspaceError
 from planspace.storage.files import make_folder, write_bytes
 
 OPSET, IR_VERSION = 17, 8
-"""ONNX 1.12 (2022): old enough for the runtimes people have, and all that the graph needs."""
+"""ONNX 1.12 (2022): old enough for most installed runtimes, new enough for the graph."""
 TOLERANCE = 1e-5
-"""How far the exported outputs may lie from ours, relative to max(1, |ours|)."""
+"""Largest error of the exported outputs, relative to max(1, |ours|)."""
 NUM_CHECKED = 64
 CHECKED_TURNS = 3
-"""States the file is tried on, and how far their angles are wound."""
+"""Number of states that the file is tested on, and the largest number of turns of their angles."""
 INPUT, OUTPUTS = "state", ("mu", "sigma")
 
 
 def export_onnx(embedding: Embedding, path: Path) -> None:
-    """Writes q(z|x) as an ONNX model: `state` [batch, n] to `mu` [batch, z] and `sigma` [batch, z], float32.
+    """Write q(z|x) as an ONNX model: `state` [batch, n] to `mu` [batch, z] and `sigma` [batch, z], float32.
 
-    Where onnxruntime is installed, the model is run and compared with the embedding before it is written.
+    If onnxruntime is installed, the model is run and compared with the embedding before it is written.
 
     Args:
-        embedding: what to export; its decoder is left out.
-        path: the file to make.
+        embedding: the embedding; its decoder is not exported.
+        path: the file to write.
 
     Raises:
         PlanspaceError: the package `onnx` is missing, the file exists or cannot be written, or the exported
-            model computes something else.
+            model computes other values than the embedding.
     """
     onnx = _onnx()
     if path.exists():
@@ -59,7 +59,7 @@ def export_onnx(embedding: Embedding, path: Path) -> None:
 
 
 class _Graph:
-    """Nodes and constants as they are laid one after another; each step returns the name of its result."""
+    """A graph under construction; each method adds a node or constant and returns the name of its result."""
 
     def __init__(self, onnx: ModuleType):
         self._onnx = onnx
@@ -75,7 +75,7 @@ class _Graph:
         return name
 
     def linear(self, x: str, weight: np.ndarray, bias: np.ndarray, name: str) -> str:
-        """Weight [out, in] and bias [out], made float32 here and nowhere before."""
+        """Add a linear layer with weight [out, in] and bias [out]; only here are they rounded to float32."""
         w = self.constant(f"{name}.weight", weight.astype(np.float32))
         b = self.constant(f"{name}.bias", bias.astype(np.float32))
         return self.node("Gemm", x, w, b, name=name, transB=1)
@@ -104,7 +104,7 @@ def _build(onnx: ModuleType, embedding: Embedding) -> Any:
 
 
 def _features(graph: _Graph, embedding: Embedding) -> tuple[str, np.ndarray]:
-    """The inputs before standardising, grouped; and at which place of `Inputs` each of them stands."""
+    """Add the inputs before standardising, grouped; return their name and the index of each in `Inputs`."""
     inputs = embedding.inputs
     if inputs.form != "trig" or not inputs.circular_columns:
         return INPUT, np.arange(embedding.state_dim)
@@ -149,7 +149,7 @@ def _model(onnx: ModuleType, graph: _Graph, embedding: Embedding) -> Any:
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    model.doc_string = "q(z|x): a state to the mean and the deviation of its plan-space embedding."
+    model.doc_string = "q(z|x): a state to the mean and standard deviation of its plan-space embedding."
     about = {
         "state_names": json.dumps(embedding.inputs.names),
         "state_units": json.dumps(embedding.inputs.units),
@@ -162,7 +162,7 @@ def _model(onnx: ModuleType, graph: _Graph, embedding: Embedding) -> Any:
 
 
 def _compare(embedding: Embedding, data: bytes) -> None:
-    """Runs the model, where there is something to run it with."""
+    """Compare the model's outputs with the embedding's, if onnxruntime is installed."""
     try:
         import onnxruntime
     except ImportError:
@@ -182,7 +182,7 @@ def _compare(embedding: Embedding, data: bytes) -> None:
 
 
 def _probe_states(embedding: Embedding) -> Float[np.ndarray, "row state"]:
-    """Random states as spread as the training's where that is known, angles wound; in float32, as is read."""
+    """Draw random float32 states: angles over several turns, other numbers distributed as in training."""
     inputs, rng = embedding.inputs, np.random.default_rng(0)
     states = rng.normal(size=(NUM_CHECKED, embedding.state_dim))
     for column in range(embedding.state_dim):

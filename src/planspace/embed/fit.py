@@ -1,4 +1,4 @@
-"""Train an embedding from demonstrations: several seeds at once, of which the best is selected and saved."""
+"""Train an embedding from demonstrations: train several seeds at once, select the best one and save it."""
 
 import tempfile
 import time
@@ -52,7 +52,7 @@ CURVES = (
     "effective_rank",
     "decoded_error",
 )
-"""The metrics logged."""
+"""The metrics that are logged."""
 
 
 def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by keyword
@@ -67,7 +67,7 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
     verbose: bool = True,
     tensorboard: bool = False,
 ) -> Embedding:
-    """Train an embedding from demonstrations: several seeds at once, of which the best is selected.
+    """Train several seeds of an embedding on demonstrations and return the best one.
 
     The preset `modern` selects by the midpoint error on the validation split among the seeds without a
     collapsed dimension; `paper` by the path error on the training split, as the paper does. The test split is
@@ -128,7 +128,7 @@ def fit_seeds(
 
 @dataclass(frozen=True)
 class _Request:
-    """What is asked for, apart from the demonstrations."""
+    """The arguments of a training, except the demonstrations."""
 
     config: FitConfig
     seeds: Sequence[int]
@@ -235,7 +235,7 @@ def _train_seeds(
 
 
 def _measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarray]) -> dict[str, Any]:
-    """The geometry on each split, with intervals on the last, beside the raw state and a constant."""
+    """Measure the geometry on each split; on the test split also intervals and the two baselines."""
     return {
         "metrics": {name: asdict(measure(embedding, demos, part)) for name, part in split.items()},
         "intervals": {"test": bootstrap_intervals(tabulate(embedding, demos, split["test"]))},
@@ -246,7 +246,7 @@ def _measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarra
 
 @dataclass(frozen=True)
 class _Log:
-    """The curves: in every row the bound, its terms and the path error; now and then the geometry."""
+    """Writer of the training log: bound, terms and path error in each row, geometry in some rows."""
 
     path: Path
     to_embeddings: Callable[[PlanSpaceModel], list[Embedding]]
@@ -257,7 +257,7 @@ class _Log:
     tracker: Tracker | None
 
     def __call__(self, step: int, before: int, models: PlanSpaceModel, terms: dict[str, list[float]]) -> None:
-        """Appends a row for the steps from `before` to `step`: numbers by name, one for each seed."""
+        """Append a row for the steps from `before` to `step`: lists by name, with one number per seed."""
         current = self.to_embeddings(models)
         row = {**terms, "path_error": paper_path_errors(current, self.demos, self.split["train"])}
         every = -(-self.steps // MEASURED)
@@ -271,7 +271,7 @@ class _Log:
 
 
 def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: FitConfig) -> Embedding:
-    """One seed's model as what is saved."""
+    """Convert one seed's model to an embedding that can be saved."""
 
     def layers(network: GaussianNetwork) -> tuple[list[np.ndarray], list[np.ndarray]]:
         return (
@@ -285,7 +285,7 @@ def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: Fi
 def choose(
     embeddings: list[Embedding], demos: Demos, split: dict[str, np.ndarray], config: FitConfig
 ) -> tuple[int, list[Geometry]]:
-    """The seed to keep, and the validation metrics of all."""
+    """Select a seed; return its index and the validation metrics of all seeds."""
     validation = [measure(e, demos, split["validation"]) for e in embeddings]
     if config.preset == "paper":
         return int(np.argmin(paper_path_errors(embeddings, demos, split["train"]))), validation

@@ -1,8 +1,8 @@
-"""How straight is it? Metrics of an embedding on demonstrations, none of which may stand alone.
+"""Metrics of an embedding on demonstrations: how straight plans are in z. Read several metrics together.
 
-Straightness can be won by throwing state away (all demonstrations of a problem share a goal: a scalar time
-to go would score well), so the effective rank and the decoded error stand beside it. Only encoder means are
-used. Definitions: the design's geometry section; `path_error` is the paper's (equations 10 and 11).
+An embedding that discards the state can be straight: all demonstrations of a problem share a goal, so the
+time to go as the only number of z would score well. The effective rank and the decoded error show this. Only
+encoder means are used. `path_error` is the paper's (equations 10 and 11).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,11 +19,11 @@ from planspace.errors import PlanspaceError
 from planspace.physics.angles import wrap
 
 MIN_STATES = 12
-"""Shorter demonstrations have no geometry to speak of and are left out."""
+"""Demonstrations with fewer states are left out: too short to measure."""
 MIDPOINT_SPACINGS = (5, 10, 30)
 MIN_LENGTH = 1e-9
 ACTIVE_SHARE = 0.01
-"""A dimension of z that varies less than this share of the mean over all dimensions has collapsed."""
+"""A dimension of z that has less than this fraction of the mean variance over dimensions has collapsed."""
 CONFIDENCE, BOOTSTRAP_DRAWS = 0.95, 1000
 
 Map = Callable[[np.ndarray], np.ndarray]
@@ -32,34 +32,34 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Geometry:
-    """The metrics; what each should be for a perfectly straight plan at constant speed is in brackets."""
+    """The metrics; the value for a perfectly straight plan at constant speed is in brackets."""
 
     straightness: float
-    """|z_T - z_0| over the length of the path in z, mean over demos [1]."""
+    """|z_T - z_0| divided by the length of the path in z, mean over demonstrations [1]."""
     speed_variation: float
-    """Deviation of |dz| over its mean, mean over demos [0]."""
+    """Standard deviation of |dz| divided by its mean, mean over demonstrations [0]."""
     midpoint_error: float
-    """How far z_t lies from the midpoint of its neighbours, over their distance [0]."""
+    """Distance of z_t from the midpoint of its neighbours, divided by their distance [0]."""
     time_correlation: float
-    """Spearman correlation of |z_t - z_T| with the time remaining, mean over demos [1]."""
+    """Spearman correlation of |z_t - z_T| with the time left, mean over demonstrations [1]."""
     path_error: float
-    """The paper's: mean |C d - y|, y the path length in raw states over its mean, d = |z_0 - z_T|."""
+    """The paper's: mean |C d - y|, d = |z_0 - z_T|, y the path length in raw states divided by its mean."""
     path_error_std: float
-    """Deviation of |C d - y|."""
+    """Standard deviation of |C d - y|."""
     duration_error: float
-    """The same with y the duration over its mean [0]."""
+    """The same, where y is the duration divided by its mean [0]."""
     effective_rank: float
     """exp of the entropy of the normalised eigenvalues of cov(z): how many dimensions are in use."""
     active_dims: int
-    """Dimensions of z whose mean varies at all."""
+    """Number of dimensions of z that have not collapsed."""
     decoded_error: float
-    """Root mean square error of the state decoded from z, each number over its deviation."""
+    """Root mean square error of the state decoded from z, in standard deviations of each number."""
     num_demos: int
-    """How many demonstrations were measured."""
+    """Number of demonstrations measured."""
 
 
 class DemoMetrics(NamedTuple):
-    """What is known of each demonstration; `Geometry` is a summary of it."""
+    """Measurements of each demonstration; `Geometry` summarises them."""
 
     straightness: Float[np.ndarray, " demo"]
     speed_variation: Float[np.ndarray, " demo"]
@@ -71,22 +71,22 @@ class DemoMetrics(NamedTuple):
     """Length of the path in raw states."""
     duration: Float[np.ndarray, " demo"]
     squared_error: Float[np.ndarray, " demo"]
-    """Mean square of the decoded state's error, over its states and numbers."""
+    """Mean square error of the decoded states, over states and numbers."""
     moments: Float[np.ndarray, "demo z_1 z_1"]
-    """Sum of (1, z)(1, z)^T over its states, from which cov(z) follows."""
+    """Sum of (1, z)(1, z)^T over its states; cov(z) is computed from it."""
 
 
 def measure(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geometry:
-    """Measures an embedding on some demonstrations, by the states it reads.
+    """Measure an embedding on some demonstrations.
 
     Raises:
-        PlanspaceError: the demos lack a state it reads, or none is long enough.
+        PlanspaceError: the demonstrations lack a state that it reads, or all are too short.
     """
     return summarise(tabulate(embedding, demos, episodes))
 
 
 def tabulate(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
-    """The same for each demonstration; `bootstrap_intervals` takes it from there."""
+    """Measure an embedding on each demonstration; `bootstrap_intervals` needs this table."""
     demos = demos.select(embedding.inputs.names)
     return measure_each(embedding.encode, lambda x: embedding.decode(embedding.encode(x)), demos, episodes)
 
@@ -94,7 +94,7 @@ def tabulate(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " dem
 def measure_raw_state(
     demos: Demos, episodes: Int[np.ndarray, " demo"], train: Int[np.ndarray, " train_demo"]
 ) -> Geometry:
-    """The same metrics of the state itself, standardised by the training split: what to compare with."""
+    """Measure the state itself, standardised by the training split, as a baseline."""
     reference = demos.states[demos.rows(train)]
     mean, deviation = reference.mean(axis=0), reference.std(axis=0)
     deviation = np.where(deviation > 0, deviation, 1.0)
@@ -102,10 +102,9 @@ def measure_raw_state(
 
 
 def measure_constant(demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geometry:
-    """The metrics of a z that knows nothing; its path and duration errors are those of a constant distance.
+    """Measure a constant z, as a baseline; its path and duration errors are those of a constant distance.
 
-    d = 0 for every demonstration would be scaled to nothing, while d = 1, as the 2020 figures have it, is
-    scaled to the mean of y. Both are constant; the second is the fair one to beat.
+    The distance is d = 1, as in the 2020 figures, because d = 0 cannot be scaled to the mean of y.
     """
     mean_state = demos.states[demos.rows(episodes)].mean(axis=0)
     table = measure_each(
@@ -115,16 +114,16 @@ def measure_constant(demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geomet
 
 
 def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
-    """Measures any map from states [T, n] to z [T, k] on each demonstration of at least `MIN_STATES`.
+    """Measure a map from states [T, n] to z [T, k] on each demonstration of at least `MIN_STATES` states.
 
     Args:
-        encode: states to z.
-        decode: states to what is left of them after going through z.
+        encode: maps states to z.
+        decode: maps states to their reconstruction from z.
         demos: the dataset.
-        episodes: which demonstrations.
+        episodes: indices of the demonstrations to measure.
 
     Raises:
-        PlanspaceError: none is long enough.
+        PlanspaceError: all demonstrations are too short.
     """
     measured = [demos.episode(int(i)) for i in episodes]
     measured = [e for e in measured if len(e.states) >= MIN_STATES]
@@ -151,7 +150,7 @@ def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarra
 
 
 def summarise(table: DemoMetrics) -> Geometry:
-    """The metrics over all demonstrations of a table."""
+    """Compute the metrics over all demonstrations of a table."""
     path_errors = scaled_errors(table.chord, table.raw_length)
     covariance = _covariance(table.moments.sum(axis=0))
     count = table.moments[:, 0, 0]
@@ -171,7 +170,7 @@ def summarise(table: DemoMetrics) -> Geometry:
 
 
 def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Interval]:
-    """95 % percentile intervals of each metric, by drawing demonstrations with replacement."""
+    """Compute a 95 % percentile interval of each metric by drawing demonstrations with replacement."""
     rng, count = np.random.default_rng(seed), len(table.chord)
     draws = [
         asdict(summarise(DemoMetrics(*(column[chosen] for column in table))))
@@ -186,7 +185,7 @@ def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Inter
 def paper_path_errors(
     embeddings: Sequence[Embedding], demos: Demos, episodes: Int[np.ndarray, " demo"]
 ) -> list[float]:
-    """`path_error` alone of embeddings that read the same states: cheap enough to watch training by."""
+    """Compute only `path_error`, for embeddings that read the same states; fast enough for the log."""
     demos = demos.select(embeddings[0].inputs.names)
     measured = episodes[np.diff(demos.offsets)[episodes] >= MIN_STATES]
     first, last = demos.offsets[measured], demos.offsets[measured + 1] - 1
@@ -196,7 +195,7 @@ def paper_path_errors(
 
 
 def scaled_errors(d: Float[np.ndarray, " demo"], y: Float[np.ndarray, " demo"]) -> np.ndarray:
-    """|C d - y| for y over its mean and the best C (equations 10, 11); d of all zeros predicts 0."""
+    """|C d - y| with the best C, where y is divided by its mean (equations 10, 11); if d is 0, so is C."""
     y = y / y.mean()
     square = np.sum(d**2)
     scale = np.sum(d * y) / square if square > 0 else 0.0
@@ -243,7 +242,7 @@ def _time_correlation(z: np.ndarray, times: np.ndarray) -> float:
     distance = np.linalg.norm(z - z[-1], axis=1)
     if np.ptp(distance) == 0:
         return 0.0
-    ranks = scipy.stats.rankdata(distance)  # the times are in order: their ranks need no sorting
+    ranks = scipy.stats.rankdata(distance)  # the times are sorted, so their ranks are 0, 1, ...
     return float(-np.corrcoef(ranks, np.arange(len(times)))[0, 1])
 
 
@@ -252,7 +251,7 @@ def _steps(x: np.ndarray) -> np.ndarray:
 
 
 def _squared_errors(demos: Demos, decoded: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Of each state, the mean square over its numbers of the decoded one's error, each over its deviation."""
+    """Mean square error of each decoded state over its numbers, in standard deviations of each number."""
     error = decoded - states
     columns = list(demos.info.circular_columns)
     error[:, columns] = wrap(error[:, columns])

@@ -1,4 +1,4 @@
-"""What the demonstrations cover: where an embedding knows what it says. NumPy alone."""
+"""The region that the demonstrations cover; outside it, z is a guess. NumPy only."""
 
 from dataclasses import dataclass
 
@@ -9,21 +9,21 @@ from planspace.errors import PlanspaceError
 
 NUM_POINTS = 2000
 QUANTILE = 0.99
-"""Share of the validation states that lie inside by definition."""
+"""Fraction of the validation states that lie inside, by definition."""
 BLOCK = 500
-"""States compared with all points at a time, to bound the memory."""
+"""Number of states compared with all points at once, to limit memory."""
 
 
 @dataclass(frozen=True)
 class Support:
-    """Some training states; what lies further from all of them than unseen demonstrations do is outside."""
+    """A sample of training states. A state farther from all of them than `radius` is outside."""
 
     points: Float[np.ndarray, "point input"]
-    """Inputs of training states, over their deviation."""
+    """Inputs of training states, divided by `scale`."""
     scale: Float[np.ndarray, " input"]
-    """The deviation of each input over the training states."""
+    """Standard deviation of each input over the training states."""
     radius: float
-    """The greatest distance from the nearest point that counts as inside, in deviations."""
+    """Largest distance to the nearest point that counts as inside, in standard deviations."""
 
     @classmethod
     def fit(
@@ -32,7 +32,7 @@ class Support:
         validation: Float[np.ndarray, "other_row input"],
         rng: np.random.Generator,
     ) -> "Support":
-        """Draws the points from the training inputs; the radius takes in 99 % of the validation inputs."""
+        """Draw points from the training inputs; the radius includes 99 % of the validation inputs."""
         deviation = train.std(axis=0)
         scale = np.where(deviation > 0, deviation, 1.0)
         chosen = rng.permutation(len(train))[:NUM_POINTS]
@@ -41,7 +41,7 @@ class Support:
         return cls(points, scale, radius)
 
     def outside(self, inputs: Float[np.ndarray, "*batch input"]) -> Bool[np.ndarray, "*batch"]:
-        """Which of these lie outside.
+        """Tell which inputs lie outside.
 
         Raises:
             PlanspaceError: a number is not finite.
@@ -53,7 +53,7 @@ class Support:
 
 
 def _nearest(points: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Distance of each x to the nearest point; centred, since differences of large squares lose digits."""
+    """Distance of each x to the nearest point. Centring avoids differences of large squares."""
     centre = points.mean(axis=0)
     points, x = points - centre, x - centre
     squares = np.sum(points**2, axis=1)
