@@ -15,7 +15,7 @@ import pytest
 
 from planspace.cli.entry import main, parse
 from planspace.embed.config import PRESETS
-from tests.test_package import ORDER
+from tests.test_package import STAGES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -224,4 +224,4 @@ def test_house_diagram_names_every_package() -> None:
     found |= {p.stem for p in package.glob("*.py") if not p.name.startswith("__")}
     in_order = [name for group in drawn for name in group]
     assert set(in_order) == found
-    assert [name for name in in_order if name in ORDER] == ORDER
+    assert [name for name in in_order if name in STAGES] == STAGES

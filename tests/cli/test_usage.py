@@ -28,6 +28,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
     [
         (["run", "carpole"], "unknown task 'carpole'. Did you mean 'cartpole'?"),
         (["run", "--budgt", "small"], "Unrecognized options: --budgt, small Perhaps you meant: --budget"),
+        (["run", "--seed", "-1"], "`--seed` must be at least 0, got -1."),
         (["run", "--budget", "tiny"], "invalid choice 'tiny'"),
         (["rnu"], "Available subcommands: run, plan"),
         (["plan"], "which problem? One of acrobot, arm, "),

@@ -32,7 +32,9 @@ class Plan:
     the problem.
     """
 
-    problem: Positional[Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help=PROBLEM_HELP)]] = ""
+    problem: Positional[
+        Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help=PROBLEM_HELP, help_behavior_hint="(required)")]
+    ] = ""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The dataset folder. The same command continues an interrupted one; a larger --num adds to it."""
     num: Annotated[int, arg(metavar="N")] = 100

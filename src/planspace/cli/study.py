@@ -20,7 +20,7 @@ class Study:
     report are written.
     """
 
-    name: Positional[Annotated[str, arg(metavar="NAME")]] = ""
+    name: Positional[Annotated[str, arg(metavar="NAME", help_behavior_hint="(required)")]] = ""
     """paper: the paper's experiments and claims. controls: why an embedding helps. demos: what demonstrations
     an embedding needs. shaping: whether distance in z works as a shaping reward. recipe: how reliably the
     swing-up is learned."""

@@ -38,7 +38,9 @@ TASK_HELP = f"One of {', '.join(sorted(TASKS))}; or module.py:NAME for your own 
 class Train:
     """Train policies on a task, all seeds at once."""
 
-    task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP)]] = ""
+    task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP, help_behavior_hint="(required)")]] = (
+        ""
+    )
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The run's folder. The same command continues an interrupted run."""
     algo: Annotated[str, arg(metavar="{" + ",".join(ALGORITHMS) + "}|module.py:NAME")] = "trpo"

@@ -29,7 +29,8 @@ class PolishConfig:
     landing: Annotated[float, arg(name="polish-landing")] = 1.0
     """Aim at this fraction of the goal's tolerance."""
     tracking_cost: Annotated[float, arg(name="polish-tracking-cost")] = 0.01
-    """Cost of the largest control in the feedback, relative to the weighted states; small is stiff."""
+    """Cost of the largest control in the feedback, relative to the weighted states. Lower values track more
+    stiffly."""
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -44,9 +45,10 @@ class RegulatorConfig:
     """Settings of the regulator that takes over near the goal and holds it."""
 
     control_cost: Annotated[float, arg(name="regulator-control-cost")] = 0.001
-    """Cost of the largest control, held for one step, relative to the weighted states; small is brisk."""
+    """Cost of the largest control, held for one step, relative to the weighted states. Lower values act more
+    strongly."""
     velocity_cost: Annotated[float, arg(name="regulator-velocity-cost")] = 0.1
-    """Factor on the weights of velocities; small lets the regulator hurry."""
+    """Factor on the weights of velocities; lower values let the robot move faster."""
     max_steps: Annotated[int, arg(name="regulator-max-steps")] = 75
     """Physics steps within which the regulator must arrive."""
     hold_steps: Annotated[int, arg(name="regulator-hold-steps")] = 50
@@ -67,7 +69,7 @@ class PlanConfig:
     planner: Planner = field(default_factory=SST)
     """Searches for a path from a start to a goal."""
     restarts: int | None = None
-    """Independent searches per plan, the best of which is kept. By default 2 for sst and 1 for others."""
+    """Independent searches per plan. The best plan is kept. By default 2 for sst and 1 for others."""
     polish: PolishConfig = field(default_factory=PolishConfig)
     """Shortens a plan and lands it on its goal."""
     regulator: RegulatorConfig = field(default_factory=RegulatorConfig)

@@ -13,7 +13,7 @@ from planspace.seams import check_fits
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
-"""Steps an iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
+"""Steps per iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
 
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
@@ -22,7 +22,7 @@ ShapingType = Literal["none", "z", "raw"]
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How policies are trained on a task, and what they observe and are paid."""
+    """Settings of a training run: algorithm, observations, rewards and seeds."""
 
     algorithm: Algorithm = TRPO()  # noqa: RUF009 (frozen)
     """The algorithm with its hyper-parameters."""
@@ -46,9 +46,9 @@ class TrainConfig:
     seed: int = 0
     """The first seed; the others follow it."""
     steps: int = 960_000
-    """Environment steps a seed, rounded up to whole iterations."""
+    """Environment steps per seed, rounded up to whole iterations."""
     batch_steps: int = BATCH_STEPS
-    """Environment steps an iteration and seed, rounded to whole episodes."""
+    """Environment steps per iteration and seed, rounded to whole episodes."""
     eval_every: int = 25
     """Iterations between evaluations with deterministic episodes; 0 evaluates only at the end."""
 
