@@ -64,7 +64,7 @@ def test_a_card_says_all_that_fit_knows() -> None:
     assert sections(card) == SECTIONS
     assert embedding.hash in card
     assert "preset `modern`, objective `variational` (linearity " in card
-    assert "- seeds 6, 7, 8; 7 is kept: the lowest midpoint error on the validation split" in card
+    assert "- seeds 6, 7, 8; 7 is selected: the lowest midpoint error on the validation split" in card
     assert "0.061 to 0.074" in card
     assert "- 12,345 optimiser steps of 678 triplets" in card
     assert "- 45 demonstrations of the problem `cartpole-swingup`, SHA-256 of their content `d160b9`" in card
@@ -122,8 +122,8 @@ def test_inputs_as_a_table() -> None:
     card = model_card(bare("trig", unit=""))
     assert row(card, "0") == ["0", "`x`", "not known", "no"]
     assert row(card, "1") == ["1", "`theta`", "rad", "yes"]
-    assert "becomes its sine and cosine" in card
-    assert "a turn later are therefore two states" in model_card(bare("raw"))
+    assert "replaced by its sine and cosine" in card
+    assert "one full turn later are different states" in model_card(bare("raw"))
 
 
 def test_names_cannot_break_the_page() -> None:
@@ -138,14 +138,14 @@ def test_the_card_says_what_the_objective_is() -> None:
     card = model_card(
         replace(bare(), about=about(settings={"fit": fit, "seeds": [3]}, seed=3, objective=objective))
     )
-    assert "The objective of this one is `pca`: Principal components." in card
+    assert "It was trained with the objective `pca`: Principal components." in card
     assert "- in closed form\n" in card and "optimiser steps" not in card
     assert "- one seed: 3\n" in card
 
 
 def test_the_paper_s_choice_of_the_seed() -> None:
     card = model_card(replace(bare(), about=about(preset="paper")))
-    assert "7 is kept: the lowest path error on the training split, as in the paper" in card
+    assert "7 is selected: the lowest path error on the training split, as in the paper" in card
 
 
 def test_the_example_runs_beside_the_embedding(

@@ -1,4 +1,4 @@
-"""The model card: what an embedding is, where it comes from and what it cannot do, in Markdown."""
+"""The model card: what an embedding is, how it was trained, and its limits, in Markdown."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,30 +12,30 @@ METRICS = {
     "midpoint_error": ("midpoint error", "0"),
     "time_correlation": ("correlation with time left", "1"),
     "path_error": ("path error (the paper's)", ""),
-    "path_error_std": ("deviation of the path error", ""),
+    "path_error_std": ("standard deviation of the path error", ""),
     "duration_error": ("duration error", "0"),
     "effective_rank": ("effective rank", ""),
     "active_dims": ("active dimensions of z", "all"),
     "decoded_error": ("decoded error", "0"),
 }
-"""Fields of `Geometry`: what they are called, and what they are for straight plans with no state lost."""
+"""Fields of `Geometry`: their title, and their ideal value for straight plans that keep the whole state."""
 CHOICE = {
     "modern": "the lowest midpoint error on the validation split among the seeds with no collapsed dimension",
     "paper": "the lowest path error on the training split, as in the paper",
 }
-"""How `fit` chooses among seeds."""
+"""How each preset selects a seed."""
 SMALLEST_FIXED = 0.01
 """Numbers below it are shown with two digits instead of three decimals."""
 
 
 def model_card(embedding: Embedding) -> str:
-    """Describes an embedding in Markdown, from what it holds alone.
+    """Describe an embedding in Markdown.
 
     Args:
-        embedding: of its `about`, whatever is absent is left out of the card.
+        embedding: what its `about` does not hold is left out of the card.
 
     Returns:
-        The card; `fit` saves it as README.md beside the embedding, where its example runs.
+        The card. `fit_embedding` saves it as README.md in the embedding's folder, where its example runs.
     """
     sections = [
         _head(embedding),
@@ -56,13 +56,15 @@ def _head(embedding: Embedding) -> str:
         f"a state of {_count(embedding.state_dim, 'number')} to z of {_count(embedding.z_dim, 'number')}"
     )
     text = (
-        f"Maps {numbers}. In a plan-space embedding, demonstrated plans are straight lines, run through at "
-        "constant speed: |z(a) - z(b)| then says how far apart two states are for such plans. z is what an "
-        "agent observes beside the state, or instead of it."
+        f"This embedding maps {numbers}. In a plan-space embedding, demonstrated plans are straight lines at "
+        "constant speed, so that |z(a) - z(b)| measures the effort between two states. An agent observes z "
+        "in addition to the state, or instead of it."
     )
     if objective := about.get("objective", {}):
-        text += f" The objective of this one is {_code(objective['name'])}: {_plain(objective['summary'])}"
-    return f"# Plan-space embedding{of}\n\n{text}\n\nSHA-256 of what it computes: {_code(embedding.hash)}"
+        text += (
+            f" It was trained with the objective {_code(objective['name'])}: {_plain(objective['summary'])}"
+        )
+    return f"# Plan-space embedding{of}\n\n{text}\n\nSHA-256 of inputs and weights: {_code(embedding.hash)}"
 
 
 def _use(embedding: Embedding) -> str:
@@ -74,8 +76,8 @@ import numpy as np
 import planspace
 
 embedding = planspace.load_embedding(".")  # the folder that holds this file
-a, b = np.zeros({n}), np.ones({n})  # two states; the inputs below say what the numbers are
-z = embedding.encode(a)  # [{n}] to [{z}]; any axes may come before: [time, {n}] to [time, {z}]
+a, b = np.zeros({n}), np.ones({n})  # two states; the table below lists their numbers
+z = embedding.encode(a)  # [{n}] to [{z}]; leading axes are kept: [time, {n}] to [time, {z}]
 far = embedding.distance(a, b)
 ```"""
 
@@ -87,14 +89,15 @@ def _inputs(embedding: Embedding) -> str:
         [str(i), _code(name), unit or "not known", on_circle]
         for i, (name, unit, on_circle) in enumerate(zip(inputs.names, inputs.units, circular, strict=True))
     ]
-    how = "Each number is standardised by the training demonstrations."
+    how = "Each number is standardised by its mean and standard deviation in the training demonstrations."
     if inputs.form == "raw":
-        how = "The numbers enter as they are."
+        how = "The numbers are used as they are."
     if inputs.circular_columns:
         how += (
-            " Before that, an angle on a circle becomes its sine and cosine: whole turns do not matter."
+            " Before that, an angle on a circle is replaced by its sine and cosine, so that full turns do "
+            "not matter."
             if inputs.form == "trig"
-            else " An angle on a circle and the same angle a turn later are therefore two states to it."
+            else " So an angle and the same angle one full turn later are different states."
         )
     return f"## Inputs\n\n{_table(['', 'state', 'unit', 'on a circle'], rows)}\n\n{how}"
 
@@ -123,13 +126,13 @@ def _preset(about: Mapping[str, Any], objective: Mapping[str, Any]) -> str:
 
 
 def _seeds(about: Mapping[str, Any], seeds: Sequence[int]) -> str:
-    kept = about.get("seed")
-    if kept is None:
+    selected = about.get("seed")
+    if selected is None:
         return ""
     if len(seeds) < 2:
-        return f"one seed: {kept}"
+        return f"one seed: {selected}"
     choice = CHOICE.get(about.get("preset", ""))
-    line = f"seeds {', '.join(map(str, seeds))}; {kept} is kept" + (f": {choice}" if choice else "")
+    line = f"seeds {', '.join(map(str, seeds))}; {selected} is selected" + (f": {choice}" if choice else "")
     errors = [g.get("midpoint_error") for g in about.get("metrics_of_seeds", {}).values()]
     if errors and None not in errors:
         line += (
@@ -171,34 +174,39 @@ def _geometry(embedding: Embedding) -> str:
     if not names:
         return ""
     intervals = about.get("intervals", {}).get("test", {})
-    beside = [("raw state", "metrics_raw_state"), ("constant z", "metrics_constant")]
-    beside = [(title, about[key]) for title, key in beside if about.get(key)]
+    baselines = [("raw state", "metrics_raw_state"), ("constant z", "metrics_constant")]
+    baselines = [(title, about[key]) for title, key in baselines if about.get(key)]
     rows = []
     for name in names:
         z = _number(metrics[name])
         if name in intervals:
             z += " [{}, {}]".format(*map(_number, intervals[name]))
-        rows.append([METRICS[name][0], z, *(_number(g.get(name)) for _, g in beside), METRICS[name][1]])
-    header = ["metric", "z [95 % interval]" if intervals else "z", *(title for title, _ in beside), "ideal"]
+        rows.append([METRICS[name][0], z, *(_number(g.get(name)) for _, g in baselines), METRICS[name][1]])
+    header = [
+        "metric",
+        "z [95 % interval]" if intervals else "z",
+        *(title for title, _ in baselines),
+        "ideal",
+    ]
     measured = f"the {_count(metrics['num_demos'], 'demonstration')} of" if "num_demos" in metrics else ""
     text = (
-        f"Measured on {measured} the test split, which took no part in training or in the choice of the "
-        "seed. `planspace measure` measures it on others; `Geometry` in `planspace.embed.geometry` says what "
-        "each metric is."
+        f"Measured on {measured} the test split, which was used neither to train nor to select the seed. "
+        "`planspace measure` measures other demonstrations. `Geometry` in `planspace.embed.geometry` defines "
+        "the metrics."
     )
     return f"## Geometry on the test split\n\n{_table(header, rows)}\n\n{' '.join(text.split())}"
 
 
 def _limits(embedding: Embedding) -> str:
-    guess = "Outside what the demonstrations cover, z is a guess."
+    guess = "z is reliable only near states that the demonstrations cover."
     if embedding.support is not None:
-        guess += " `embedding.outside_support(states)` says which states those are."
+        guess += " `embedding.outside_support(states)` tells which states are outside."
     limits = [
-        "Straightness can be won by throwing state away: the time left alone would score well. Read the "
-        "effective rank and the decoded error beside it.",
+        "An embedding that drops parts of the state can be straight: one that only encodes the time left "
+        "would score well. Read straightness together with the effective rank and the decoded error.",
         guess,
-        "|z(a) - z(b)| is the same both ways; effort is not: a pole falls by itself, and must be swung up.",
-        "It knows the plans it was shown, with their goals, and nothing of obstacles they did not meet.",
+        "|z(a) - z(b)| is symmetric, but effort is not: a pole falls without effort, and must be swung up.",
+        "The embedding reflects its demonstrations and their goals. It knows no obstacles that they did not meet.",
     ]
     return "## Limits\n\n" + "\n".join(f"- {limit}" for limit in limits)
 
@@ -214,12 +222,12 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _code(text: str) -> str:
-    """Text as code, whatever is in it: a file's names must not turn into headings, links or HTML."""
+    """Format text as code, so that names from a file cannot become headings, links or HTML."""
     return f"`{' '.join(text.replace('`', chr(39)).split())}`"
 
 
 def _plain(text: str) -> str:
-    """Text without characters that Markdown or HTML give a meaning."""
+    """Remove characters with a meaning in Markdown or HTML."""
     return re.sub(r"[<>\[\]`#|\\]", " ", text)
 
 
