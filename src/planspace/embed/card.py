@@ -206,7 +206,7 @@ def _limits(embedding: Embedding) -> str:
         "would score well. Read straightness together with the effective rank and the decoded error.",
         guess,
         "|z(a) - z(b)| is symmetric, but effort is not: a pole falls without effort, and must be swung up.",
-        "The embedding reflects its demonstrations and their goals. It knows no obstacles that they did not meet.",
+        "The embedding reflects its demonstrations and their goals. It knows no obstacles besides theirs.",
     ]
     return "## Limits\n\n" + "\n".join(f"- {limit}" for limit in limits)
 
