@@ -1,4 +1,4 @@
-"""Makes the golden artefacts of the present schemas: python -m tests.golden.make FOLDER
+"""Make the golden artefacts of the present schemas: python -m tests.golden.make FOLDER
 
 They are made once for each schema version, committed, and read forever after by `test_golden`. An old folder
 is never made again.
@@ -34,7 +34,7 @@ OBS = np.linspace(-1.0, 1.0, 21).reshape(3, 7)
 
 
 def make(out: Path) -> None:
-    """Runs a study of three small units, and keeps their folders, results and what is to be read in them."""
+    """Run a study of three small units, and keep their folders, results and the values in them."""
     assert run_study(GOLDEN, out) == {}
     for unit, name in ((PLANS, "demos"), (FIT, "embedding"), (POLICY, "run")):
         folder_of(unit, out).rename(out / name)
@@ -47,13 +47,13 @@ def make(out: Path) -> None:
 
 
 def unit_of(kind: str, out: Path) -> UnitResult:
-    """The result of the one unit of a kind, under whatever name it was saved."""
+    """The result of the only unit of a kind; its file name does not matter."""
     (file,) = (out / "units").glob(f"{kind}-*.json")
     return read_result_file(file, kind)
 
 
 def read(out: Path) -> dict[str, object]:
-    """What one finds in the artefacts."""
+    """The values that are read from the artefacts."""
     demos, embedding = load_demos(out / "demos"), load_embedding(out / "embedding")
     policy, history = load_policy(out / "run", 1), load_history(out / "run")
     return {

@@ -1,4 +1,4 @@
-"""What an earlier planspace wrote, this one reads, and finds in it what was found then."""
+"""This version reads what an earlier version wrote, and finds the same values in it."""
 
 import json
 from pathlib import Path
@@ -27,15 +27,15 @@ def assert_like(found: Any, expected: Any, where: str) -> None:
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
-def test_what_was_written_is_read(folder: Path) -> None:
+def test_artefacts_of_earlier_versions_are_read(folder: Path) -> None:
     found = json.loads(json.dumps(read(folder)))
     assert_like(found, json.loads((folder / "expected.json").read_text()), folder.name)
     assert len(read_log(folder / "embedding")) >= 1
     assert repair(folder) == []
 
 
-def test_there_is_one_of_the_present_schemas() -> None:
-    """A schema that changes needs a new folder: python -m tests.golden.make tests/golden/YEAR-MONTH"""
+def test_the_newest_artefacts_have_the_present_schemas() -> None:
+    """A new schema needs a new folder: python -m tests.golden.make tests/golden/YEAR-MONTH"""
     from planspace.demos import manifest
     from planspace.embed import saved_embedding
     from planspace.rl import saved_policy

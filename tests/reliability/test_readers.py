@@ -1,4 +1,4 @@
-"""Every reader either loads a file or rejects it with one of our errors, whatever was done to the file."""
+"""Every reader either loads a changed file or rejects it with one of our errors."""
 
 import contextlib
 import json

@@ -29,8 +29,7 @@ def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
             refers to a file outside its folder or to one that text cannot hold (a height field, a skin).
         UsageError: a joint is not in the model.
     """
-    text = read_text(path)
-    files = _referred_files(path)
+    text, files = read_text(path), _referred_files(path)
     check_assets((file for file in files if file.exists()), str(path))  # the places where each file may be
     try:
         with compiling():

@@ -93,24 +93,17 @@ class StateSpace:
                 raise unknown("joint in position_bounds", name, joints)
         bounds = [read_bounds(model, i, given) for i in ids]
         qvel = [k for i in ids for k in qvel_indices(model, i)]
-        speed = np.asarray(velocity_bound, dtype=float)
-        if speed.ndim and len(speed) != len(qvel):
-            raise UsageError(
-                f"velocity_bound has {len(speed)} numbers; the joints have {len(qvel)} velocities."
-            )
         return cls(
             joints=tuple(joints),
             kinds=tuple(joint_kind(model, i) for i in ids),
             low=np.concatenate([np.empty(0), *(low for low, _ in bounds)]),
             high=np.concatenate([np.empty(0), *(high for _, high in bounds)]),
             ball_range=tuple(read_ball_range(model, i) for i in ids),
-            velocity_bound=np.broadcast_to(speed, (len(qvel),)).copy(),
+            velocity_bound=_one_for_each(velocity_bound, len(qvel)),
             qpos_index=tuple(k for i in ids for k in qpos_indices(model, i)),
             qvel_index=tuple(qvel),
             kinematic=kinematic,
         )
-
-    # --- sizes, names and units -------------------------------------------------------------------------
 
     @property
     def num_positions(self) -> int:
@@ -347,3 +340,10 @@ class StateSpace:
     @cached_property
     def _circular_tangents(self) -> list[int]:
         return [t for _, t, kind in self.layout if kind == "circle"]
+
+
+def _one_for_each(velocity_bound: float | Sequence[float], num: int) -> Float[np.ndarray, " dof"]:
+    bound = np.asarray(velocity_bound, dtype=float)
+    if bound.ndim and len(bound) != num:
+        raise UsageError(f"velocity_bound has {len(bound)} numbers; the joints have {num} velocities.")
+    return np.broadcast_to(bound, (num,)).copy()

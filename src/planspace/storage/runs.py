@@ -51,12 +51,7 @@ def open_run(
     saved = path / CONFIG
     config = json.loads(json.dumps(config))
     if not saved.exists():
-        others = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
-        if others:
-            raise PlanspaceError(
-                f"{path} is not empty and is not a planspace run (it holds {sorted(others)[0]!r}); "
-                "choose another --out."
-            )
+        _check_empty(path)
         write_json(saved, config)
         return path
     before = update(update_settings(read_json(saved), renamed=renamed, added=added))
@@ -67,6 +62,15 @@ def open_run(
             "Choose another --out, or give the same settings to continue it."
         )
     return path
+
+
+def _check_empty(path: Path) -> None:
+    others = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
+    if others:
+        raise PlanspaceError(
+            f"{path} is not empty and is not a planspace run (it holds {sorted(others)[0]!r}); "
+            "choose another --out."
+        )
 
 
 @contextlib.contextmanager
