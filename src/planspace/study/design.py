@@ -1,4 +1,4 @@
-"""What a study is: arms, the units they are made of, and claims with the numbers that decide them."""
+"""The design of a study: arms, their units, and claims with the numbers that decide them."""
 
 import shlex
 from collections.abc import Iterable, Iterator
@@ -17,41 +17,41 @@ Expectation = Literal["more", "less", "same"]
 
 RAW, SWING_UP = "raw", "cartpole-swingup"
 BLOCK = 5
-"""Seeds of a unit; the units of an arm merge, so 15 seeds become 50 without running the first 15 again."""
+"""Seeds per unit. An arm has several units, so 15 seeds become 50 without running the first 15 again."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How much of everything."""
+    """How much of each stage to run."""
 
     steps: int
-    """Environment steps a seed."""
+    """Environment steps per seed."""
     seeds: int = 15
-    """Seeds an arm."""
+    """Seeds per arm."""
     plans: int = 500
-    """Demonstrations, as many as in 2020."""
+    """Number of demonstrations; 2020 had 500."""
     embeddings: int = 5
-    """Embedding seeds."""
+    """Number of embeddings."""
     restarts: int | None = None
-    """Searches for each plan; None is the planner's own."""
+    """Searches per plan; None uses the planner's default."""
     fit_steps: int | None = None
-    """Optimiser steps of an embedding; None is the preset's own."""
+    """Optimiser steps of an embedding; None uses the preset's."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """A line of a figure."""
+    """An arm of a study: one line in a figure."""
 
     panel: str
-    """The figure it is in."""
+    """The figure that shows the arm."""
     label: str
-    """Its name there."""
+    """The arm's name in the figure."""
     units: tuple[PolicyUnit, ...]
-    """Blocks of its seeds."""
+    """One unit per block of seeds."""
 
     @property
     def task(self) -> str:
-        """The task of its figure, which a unit that several share need not name."""
+        """The task of the arm's figure. A unit that several arms share may name another task."""
         return self.panel.partition(",")[0]
 
     @property
@@ -61,7 +61,7 @@ class Arm:
 
     @property
     def num_embeddings(self) -> int:
-        """How many embeddings its seeds take in turn; 0 where there is no z."""
+        """Number of embeddings that the seeds use in turn; 0 without z."""
         return len(self.units[0].fits)
 
 
@@ -73,7 +73,7 @@ def solved_level(arm: Arm) -> float | None:
 
 @dataclass(frozen=True)
 class Claim:
-    """What is claimed, and the number that decides it.
+    """A claim, and the number that decides it.
 
     The number is a measure of an arm, less that of another if there is one, over the seeds; of a spread, the
     logarithm of other over arm. Its 95 % interval decides: `more` holds if it lies above `margin` and fails
@@ -83,7 +83,7 @@ class Claim:
 
     text: str
     source: str
-    """Where it comes from."""
+    """Source of the claim."""
     measure: Measure
     """`final`: mean return over the last 50 iterations; `early` and `whole`: over the first quarter of the
     training, and all of it; `best`: of the two best seeds at the end; `spread`: deviation over seeds of
@@ -93,12 +93,12 @@ class Claim:
     expects: Expectation = "more"
     margin: float = 0.0
     late: bool = False
-    """Made, or its number changed, when the returns of some seeds were known."""
+    """Whether the claim was made or changed after the returns of some seeds were known."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is run and what it is to decide."""
+    """What is run, and what it decides."""
 
     name: str
     budget: str
@@ -106,19 +106,19 @@ class Study:
     arms: tuple[Arm, ...]
     claims: tuple[Claim, ...] = ()
     notes: tuple[str, ...] = ()
-    """What a reader of its figures must know."""
+    """Notes for the readers of its figures."""
     parts: tuple[str, ...] = ()
-    """What `only` was asked for."""
+    """The arguments of `only`."""
 
     @property
     def command(self) -> str:
-        """What runs it."""
+        """The command that runs the study."""
         only = "".join(f" --only {shlex.quote(part)}" for part in self.parts)
         return f"planspace study {self.name} --budget {self.budget}{only}"
 
     @property
     def units(self) -> tuple[Unit, ...]:
-        """Every unit once, what is needed before what needs it."""
+        """Every unit once, each after the units that it needs."""
         return tuple({unit.name: unit for arm in self.arms for unit in _closure(arm.units)}.values())
 
     def only(self, parts: Iterable[str]) -> "Study":
@@ -139,13 +139,13 @@ class Study:
 
 @dataclass(frozen=True)
 class Builder:
-    """Makes the units of a budget."""
+    """Builds the units of a budget."""
 
     budget: Budget
     seeds: int = 0
-    """Seeds an arm, where that is not the study's own number."""
+    """Seeds per arm; 0 uses the study's number."""
     seed: int = 0
-    """The first."""
+    """The first seed."""
 
     def arm(
         self,
@@ -174,12 +174,12 @@ class Builder:
         return Arm(panel, label, tuple(PolicyUnit(task, c, fits) for c in configs))
 
     def plans_for(self, task_name: str) -> PlansUnit:
-        """The demonstrations that train a task's embeddings."""
+        """Demonstrations to train a task's embeddings."""
         task = find_task(task_name)
         return self.plans(str(task.embedding_problem or task.problem))
 
     def plans(self, problem: str, num: int = 0, **settings: int | float) -> PlansUnit:
-        """Demonstrations, as many as the budget has or `num`, if that is fewer."""
+        """Demonstrations: `num`, at most the number of the budget."""
         if self.budget.restarts is not None:
             settings["restarts"] = self.budget.restarts
         num = min(num or self.budget.plans, self.budget.plans)
@@ -191,7 +191,7 @@ class Builder:
         return FitUnit(plans, replace(config, steps=steps), **seeds)
 
     def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
-        """One a seed, to be taken in turn."""
+        """One embedding per seed, to use in turn."""
         num = min(num or self.budget.embeddings, self.budget.embeddings)
         return tuple(self.fit(plans, config, seed=seed) for seed in range(first, first + num))
 
@@ -208,5 +208,5 @@ def better(panel: str, text: str, arm: str, other: str) -> Claim:
 
 
 def panel_of(task: str, algo: str) -> str:
-    """The figure an arm is in."""
+    """The figure that shows an arm."""
     return f"{task}, {algo.upper()}"

@@ -1,4 +1,4 @@
-"""One unit run to its end: its folder, and the small result that a report is made of.
+"""Running one unit: its folder, and the small result that reports are made of.
 
     DIR/work/NAME/          the unit's folder, as `planspace plan`, `embed`, `train` leave it; may be deleted
     DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and time
@@ -53,35 +53,35 @@ from planspace.workers import CPU_INFO, count_cores
 SCHEMA = 1
 VERSIONS = Provenance.current("mujoco", "jax").plain()
 WHOLE = "unit.whole"
-"""In the folder of a unit that came to its end."""
+"""File in the folder of a finished unit."""
 KEPT_EVERY, SHORT = 5, 50
 """Returns are kept as means of so many iterations, rounded to 2 decimals; of fewer iterations than the second
 number every one is."""
 LOG_ROWS = 100
-"""Rows of a training log that are kept."""
+"""Rows of a training log that a result keeps."""
 PATHS, POINTS = 12, 40
-"""Demonstrations that are kept as an embedding sees them, and states of each."""
+"""Demonstrations in z that a result keeps, and states of each."""
 FILM_SEED = 1000
-"""The start of the episode that is kept of a policy; the same for all."""
+"""Seed of the start of the episode that a result keeps of each policy."""
 
 
 def folder_of(unit: Unit, out: Path) -> Path:
-    """Where a unit works."""
+    """The folder of a unit."""
     return out / "work" / unit.name
 
 
 def result_file(unit: Unit, out: Path) -> Path:
-    """Where its result is."""
+    """The file of a unit's result."""
     return out / "units" / f"{unit.name}.json"
 
 
 def is_done(unit: Unit, out: Path) -> bool:
-    """Whether its result is there."""
+    """Whether the unit has a result."""
     return result_file(unit, out).exists()
 
 
 def has_folder(unit: Unit, out: Path) -> bool:
-    """Whether its folder is there, whole; one that was begun and not ended is not."""
+    """Whether the unit's folder is complete."""
     return (folder_of(unit, out) / WHOLE).exists()
 
 
@@ -226,7 +226,7 @@ def cpu_model() -> str:
 
 
 def _paths(embedding: Embedding, demos: Demos) -> tuple[Any, ...]:
-    """Test demonstrations in z, on three principal components."""
+    """Test demonstrations on three principal components of z."""
     used = demos.select(embedding.inputs.names)
     test = embedding.about["split"]["test"][:PATHS]
     rows = [used.offsets[i] + _some(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
@@ -245,7 +245,7 @@ def _rounded(metrics: dict[str, Any]) -> dict[str, Any]:
 
 
 def _round_all(numbers: Any, decimals: int) -> Any:
-    """Numbers as JSON holds them: rounded, None for what is not finite."""
+    """Numbers for JSON: rounded, and None if they are not finite."""
     if isinstance(numbers, list | tuple | np.ndarray):
         return [_round_all(x, decimals) for x in numbers]
     return round(float(numbers), decimals) if np.isfinite(numbers) else None

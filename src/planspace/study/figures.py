@@ -183,7 +183,7 @@ def plot_spaces(spaces: Mapping[str, Sequence[Sequence[Sequence[float]]]]) -> ma
 
 
 def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
-    """A demonstration's straightness at a glance: the state beside z, each on two principal components."""
+    """Demonstrations in the state and in z, each on two principal components."""
     figure = matplotlib.figure.Figure(figsize=(9, 4.3), layout="constrained")
     standard = demos.states / demos.states.std(axis=0)
     longest = max(float(demos.episode(i).times[-1]) for i in range(len(demos)))

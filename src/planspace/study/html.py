@@ -1,4 +1,4 @@
-"""Pages that need nothing beside them: one file; of HTML its scripts are inside, and it loads nothing."""
+"""Self-contained pages: one file with its scripts inside, which loads nothing."""
 
 from pathlib import Path
 from typing import Any
@@ -31,5 +31,5 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
 
 
 def embedded(figure: go.Figure) -> str:
-    """A figure as a part of a page."""
+    """A figure to embed in a page."""
     return plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, config=PLOTLY_CONFIG)

@@ -1,4 +1,4 @@
-"""Worker processes on this machine: each runs one unit, on cores of its own, and is replaced if it dies."""
+"""Worker processes on this machine. Each runs one unit on its own cores, and is replaced if it dies."""
 
 import contextlib
 import multiprocessing
@@ -21,31 +21,31 @@ from planspace.study.unit import Unit
 from planspace.workers import available_cores, count_cores, exit_with_parent, worker_environment
 
 REFRESH_S = 1.0
-"""How long a pool waits for something to happen."""
+"""Seconds that a pool waits for a unit to end."""
 PATIENCE_S, REMIND_S = 30.0, 5.0
-"""So long do workers have to save what they are at when they are told to stop, and so often are they told."""
+"""Seconds that workers have to save their work after each request to stop, and the number of requests."""
 INTERRUPTED = 130
 
 
 @runtime_checkable
 class Pool(Protocol):
-    """Where units are run."""
+    """A place to run units."""
 
     @property
     def size(self) -> int:
-        """How many it runs at a time."""
+        """Number of units that run at a time."""
         ...
 
     def start(self, unit: Unit) -> None:
-        """Begins a unit; what it needs is done."""
+        """Start a unit. The units that it needs are done."""
         ...
 
     def wait(self) -> Sequence[tuple[Unit, str | None]]:
-        """Waits a little for units to end; gives those that have, with what was wrong with each."""
+        """Wait briefly for units to end, and return those that ended with their errors."""
         ...
 
     def stop(self) -> None:
-        """Ends what is under way, saved as far as it has come."""
+        """Stop the running units, which save their work."""
         ...
 
 
@@ -57,16 +57,16 @@ class _Worker:
 
 
 class LocalPool:
-    """Processes that share out this machine's cores."""
+    """Processes that share this machine's cores."""
 
     def __init__(self, out: Path, size: int):
-        """A pool of so many workers, at most one a core, for a folder of studies."""
+        """Make a pool for a folder of studies, with at most one worker per core."""
         self.size, self._out = min(size, count_cores()), out
         self._free = list(range(self.size))
         self._workers: list[_Worker] = []
 
     def start(self, unit: Unit) -> None:
-        """Begins a unit in a process of its own."""
+        """Start a unit in a separate process."""
         _error_file(unit, self._out).unlink(missing_ok=True)  # of an earlier attempt
         context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
         slot = self._free.pop()
@@ -76,7 +76,7 @@ class LocalPool:
         self._workers.append(_Worker(unit, process, slot))
 
     def wait(self) -> Sequence[tuple[Unit, str | None]]:
-        """The units that have ended, after a second at most."""
+        """Return the units that have ended, after at most a second."""
         wait([worker.process.sentinel for worker in self._workers], timeout=REFRESH_S)
         ended = [worker for worker in self._workers if not worker.process.is_alive()]
         for worker in ended:
@@ -85,7 +85,7 @@ class LocalPool:
         return [(worker.unit, self._error(worker)) for worker in ended]
 
     def stop(self) -> None:
-        """Tells the workers to save and end."""
+        """Tell the workers to save and exit."""
         deadline = time.monotonic() + PATIENCE_S
         while alive := [worker.process for worker in self._workers if worker.process.is_alive()]:
             for process in alive:  # more than once: an interrupt can be lost in a callback of the interpreter
@@ -107,7 +107,7 @@ def _error_file(unit: Unit, out: Path) -> Path:
 
 
 def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
-    """A worker's life: one unit."""
+    """Run one unit in a worker process."""
     os.setpgid(0, 0)  # Ctrl-C is the parent's to hear, who then says so
     signal.signal(signal.SIGTERM, _interrupt)
     exit_with_parent()
@@ -127,7 +127,7 @@ def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
 
 
 def named(error: Exception) -> str:
-    """An error in one line, with its kind where it is not one of ours."""
+    """An error in one line, with its type if planspace did not raise it."""
     text = " ".join(str(error).split())
     return text if isinstance(error, PlanspaceError) else f"{type(error).__name__}: {text}"
 

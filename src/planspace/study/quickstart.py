@@ -1,4 +1,4 @@
-"""`planspace run`: from nothing to a first result, through every stage, on real physics."""
+"""`planspace run`: plan, embed, train and report in one command."""
 
 import math
 from dataclasses import asdict, dataclass, replace
@@ -29,25 +29,25 @@ from planspace.tasks.problem_file import load_problem
 
 BudgetName = Literal["smoke", "small", "full"]
 NEAR_GOAL = 0.5
-"""L1 distance to the goal within which a demonstration counts as having come near it."""
+"""Demonstrations that end within this L1 distance of the goal count as near it."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How much of each stage."""
+    """How much of each stage to run."""
 
     demos: int
-    """Demonstrations to plan."""
+    """Number of demonstrations to plan."""
     planner: PlanConfig
-    """How to plan them."""
+    """Settings of planning."""
     fit: FitConfig
-    """How to train the embedding."""
+    """Settings of training the embedding."""
     embedding_seeds: int
-    """Embeddings trained side by side, the best of which is kept."""
+    """Number of embedding seeds. The best one is selected."""
     seeds: int
-    """Policies trained side by side for each arm."""
+    """Number of policy seeds per arm."""
     steps: int
-    """Environment steps for each of them."""
+    """Environment steps per policy seed."""
 
 
 BUDGETS: dict[str, Budget] = {
@@ -79,7 +79,7 @@ BUDGETS: dict[str, Budget] = {
 
 
 def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[str, Any]:
-    """Plans, embeds, trains and reports; finished stages are kept, an interrupted one goes on.
+    """Plan, embed, train and report. Finished stages are kept, and an interrupted stage continues.
 
     Args:
         task_name: a task's command-line name.
@@ -132,7 +132,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> dict[s
 
 
 def rebuild(out: Path) -> dict[str, Any]:
-    """Writes the report of a finished run anew, from what its folder holds.
+    """Write the report of a run again, from its folder.
 
     Raises:
         PlanspaceError: it is no run, its settings are not whole, or as `run` does.
@@ -150,7 +150,7 @@ def rebuild(out: Path) -> dict[str, Any]:
 
 
 def _arms(task_name: str, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
-    """Label, folder and settings of each arm; `trig` is left out where the task observes it already."""
+    """Label, folder and settings of each arm. Tasks that observe sin and cos already have no `trig` arm."""
     base = TrainConfig(num_seeds=budget.seeds, seed=seed, steps=budget.steps)
     raw = ("raw", "raw", base)
     if not find_task(task_name).sin_cos_columns:
@@ -191,7 +191,7 @@ def summarise(
 
 
 def _geometry(about: dict[str, Any]) -> dict[str, Any]:
-    """What an embedding's description says of the test split."""
+    """The metrics of the test split, as the embedding's description has them."""
     return {
         "split": "test",
         "embedding_seed": about["seed"],

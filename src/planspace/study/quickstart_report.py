@@ -1,4 +1,4 @@
-"""The report of `planspace run`: one HTML file that needs nothing beside it, and the figures as files."""
+"""The report of `planspace run`: one self-contained HTML file, and its figures as files."""
 
 import base64
 from pathlib import Path

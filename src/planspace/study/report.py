@@ -1,4 +1,4 @@
-"""A study's report: one HTML file that needs nothing beside it, and its figures and tables as files."""
+"""The report of a study: one self-contained HTML file, and its figures and tables as files."""
 
 import json
 import re
@@ -38,7 +38,7 @@ from planspace.study.unit import FitUnit
 SPACES = "demonstrations-in-z"
 """The figure of embeddings."""
 MAX_SPACES = 8
-"""Of more kinds of embeddings the first are shown to be turned: browsers draw in so many frames at once."""
+"""Number of embeddings with an interactive figure. Browsers limit the number of WebGL frames."""
 THRESHOLDS = 200
 
 

@@ -1,4 +1,4 @@
-"""Runs a study: what is left of its units, in a pool, each result committed as it comes."""
+"""Running a study: its missing units run in a pool, and each result is saved when it is ready."""
 
 import sys
 import time
@@ -17,7 +17,7 @@ from planspace.study.unit import Unit
 from planspace.workers import count_cores
 
 ATTEMPTS = 2
-"""A unit that failed is tried again once, after the others."""
+"""How often a unit is tried. A failed unit is tried again after the others."""
 
 
 def open_results(out: Path) -> None:
@@ -30,7 +30,7 @@ def open_results(out: Path) -> None:
 
 
 def units_to_run(study: Study, out: Path) -> list[Unit]:
-    """What is not done, and what that needs and is not there (any more)."""
+    """The units without a result, and the units that they need and whose folders are missing."""
     todo: dict[str, Unit] = {}
 
     def visit(unit: Unit, folder_needed: bool) -> None:
@@ -78,7 +78,7 @@ def run_study(
 
 
 def failures(failed: dict[str, str], study: Study) -> Iterator[str]:
-    """A line for each unit that failed, with the arms it belongs to."""
+    """One line for each failed unit, with its arms."""
     for name, error in failed.items():
         arms = [arm.name for arm in study.arms if any(unit.name == name for unit in arm.units)]
         yield f"{name} ({', '.join(arms) or 'needed by others'}): {error}"
@@ -86,18 +86,18 @@ def failures(failed: dict[str, str], study: Study) -> Iterator[str]:
 
 @dataclass
 class _State:
-    """What has become of the units."""
+    """The state of all units."""
 
     todo: list[Unit]
-    """In the order in which they are to be run; those under way are not among them."""
+    """Waiting units, in the order in which they will run."""
     running: dict[str, tuple[Unit, float]] = field(default_factory=dict)
-    """Those under way, and since when, by name."""
+    """Running units by name, with their start times."""
     failed: dict[str, str] = field(default_factory=dict)
-    """What was wrong with a unit that was given up, by its name."""
+    """Errors of the units that failed for good, by name."""
     attempts: dict[str, int] = field(default_factory=dict)
 
     def next(self) -> Unit | None:
-        """Takes the first unit that can be run now; gives up those whose needs have failed."""
+        """Take the first unit that can run now, and give up the units whose needs have failed."""
         pending = {unit.name for unit in self.todo} | self.running.keys()
         for unit in list(self.todo):
             if any(need.name in self.failed for need in unit.needs):
@@ -110,7 +110,7 @@ class _State:
         return None
 
     def ended(self, unit: Unit, error: str | None) -> float:
-        """Takes down how a unit ended; gives the seconds it took."""
+        """Record how a unit ended, and return the seconds it took."""
         _, began = self.running.pop(unit.name)
         if error is not None:
             self.attempts[unit.name] = self.attempts.get(unit.name, 0) + 1
@@ -143,7 +143,7 @@ def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
 
 
 def _time_left(state: _State, pace: Pace, pool: Pool, cores: float) -> str:
-    """Until all is done, where a unit runs on so many cores."""
+    """Estimated time until everything is done, if each unit uses this number of cores."""
     now = time.monotonic()
     waiting = sum(pace.expect(unit) for unit in state.todo)
     under_way = sum(max(pace.expect(u) - (now - began) * cores, 0.0) for u, began in state.running.values())

@@ -27,9 +27,10 @@ FINAL_STEPS, FINAL_SHARE = 200_000, 0.25
 quarter of a short training."""
 EARLY_SHARE = 0.25
 NUM_BEST = 2
-"""The best case is the mean of so many seeds: the paper's figures show the best and the second best."""
+"""The best case is the mean over this many seeds: the paper's figures show the best and the second best."""
 VISIBLE_RATIO = {15: 1.73, 30: 1.45, 50: 1.33, 75: 1.26, 100: 1.22}
-"""Two normal samples of so many seeds show a ratio of deviations beyond this (two-sided, 95 %)."""
+"""Two normal samples of this many seeds differ in their standard deviations beyond this ratio (two-sided, 95
+%)."""
 
 Interval = tuple[float, float]
 

@@ -106,7 +106,7 @@ class Time:
     whole_core_seconds: int
     """Estimate for the whole study."""
     not_timed: int
-    """Units of a kind of which no unit has been timed."""
+    """Units of a kind that has no timed unit yet."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""The units a study is made of: demonstrations, embeddings, and policies of a few seeds.
+"""The units of a study: demonstrations, embeddings, and policies of a few seeds.
 
-A unit is plain data. Its name is the hash of all that it depends on, so the same unit of two studies is one,
-and is run once. Tasks are known by their names alone: what they are is part of planspace's version, and a
-folder of results takes one version.
+A unit is plain data. Its name is the hash of everything it depends on, so a unit that two studies share is
+run once. A task is hashed by its name only: its content belongs to the version of planspace, and a folder of
+results holds one version.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
@@ -25,18 +25,18 @@ time left is estimated from it until units are done."""
 
 
 class _Unit:
-    """What all units share."""
+    """What every unit has."""
 
     kind: ClassVar[str]
 
     @cached_property
     def spec(self) -> dict[str, Any]:
-        """Everything it depends on, as plain data."""
+        """Everything that the unit depends on, as plain data."""
         return {"kind": self.kind, **_plain(self)}
 
     @cached_property
     def name(self) -> str:
-        """Its kind and the hash of `spec`."""
+        """The unit's kind and the hash of `spec`."""
         return f"{self.kind}-{json_hash(self.spec)[:16]}"
 
 
@@ -48,69 +48,69 @@ class PlansUnit(_Unit):
     problem: str
     """A shipped planning problem."""
     num: int
-    """How many."""
+    """Number of demonstrations."""
     settings: tuple[tuple[str, int | float], ...] = ()
-    """What differs from the problem's planner settings."""
+    """Planner settings that differ from the problem's."""
     source: PlanSource = "plan"
-    """`plan`: our planner. `2020`: plans as wrong as those of 2020; see `wound`."""
+    """`plan`: the planner. `2020`: plans with winding, like those of 2020; see `plans_2020`."""
     seed: int = 0
 
     @property
     def needs(self) -> tuple["Unit", ...]:
-        """Units whose folders it reads."""
+        """Units whose folders this one reads."""
         return ()
 
     @property
     def cost(self) -> float:
-        """A guess of the seconds it takes one core."""
+        """Estimated seconds on one core."""
         return SECONDS_A_PLAN[self.source] * self.num
 
 
 @dataclass(frozen=True)
 class FitUnit(_Unit):
-    """An embedding: the best of some seeds."""
+    """An embedding, selected among several seeds."""
 
     kind = "fit"
     plans: PlansUnit
-    """What it is trained on."""
+    """The demonstrations to train on."""
     config: FitConfig
-    """How."""
+    """Settings of the training."""
     num_seeds: int = 1
-    """How many seeds, of which the best is kept."""
+    """Number of seeds. The best one is selected."""
     seed: int = 0
-    """The first."""
+    """The first seed."""
 
     @property
     def needs(self) -> tuple["Unit", ...]:
-        """Units whose folders it reads."""
+        """Units whose folders this one reads."""
         return (self.plans,)
 
     @property
     def cost(self) -> float:
-        """A guess of the seconds it takes one core."""
+        """Estimated seconds on one core."""
         return self.num_seeds * (3.0 + SECONDS_A_TRIPLET * self.config.steps * self.config.batch)
 
 
 @dataclass(frozen=True)
 class PolicyUnit(_Unit):
-    """Policies of some neighbouring seeds of an arm."""
+    """Policies of consecutive seeds of an arm."""
 
     kind = "policies"
     task: str
     """A shipped task."""
     config: TrainConfig
-    """The arm, and which seeds."""
+    """Settings of the arm, and its seeds."""
     fits: tuple[FitUnit, ...] = ()
-    """What makes z; seed s takes number s modulo how many there are."""
+    """The embeddings that provide z. Seed s uses number s modulo their count."""
 
     @property
     def needs(self) -> tuple["Unit", ...]:
-        """Units whose folders it reads."""
+        """Units whose folders this one reads."""
         return self.fits
 
     @property
     def cost(self) -> float:
-        """A guess of the seconds it takes one core."""
+        """Estimated seconds on one core."""
         rate = getattr(self.config.algorithm, "steps_a_second", STEPS_A_SECOND)
         return self.config.steps * self.config.num_seeds / rate
 
@@ -119,7 +119,7 @@ Unit = PlansUnit | FitUnit | PolicyUnit
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses as plain data, presets resolved."""
+    """Turn dataclasses into plain data."""
     if isinstance(value, TrainConfig | FitConfig):
         return plain_settings(value)
     if is_dataclass(value):
@@ -130,5 +130,5 @@ def _plain(value: Any) -> Any:
 
 @lru_cache
 def _problem_hash(name: str) -> str:
-    """Read once: hundreds of units of a study name it."""
+    """The hash of a problem. It is cached, because hundreds of units name the same problem."""
     return load_problem(name).hash
