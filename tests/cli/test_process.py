@@ -16,6 +16,7 @@ from planspace.storage.json_files import read_sealed, write_sealed
 from .calls import call
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> None:
     heed = (

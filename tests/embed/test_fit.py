@@ -151,6 +151,7 @@ def test_finished_training_is_returned_and_other_settings_refused(
         fit_embedding(demos, out=embedding_folder, config=replace(QUICK_FIT, z_dim=10), num_seeds=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "broken",
     [pytest.param(99, marks=pytest.mark.slow), 150, pytest.param(249, marks=pytest.mark.slow)],

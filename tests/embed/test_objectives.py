@@ -182,6 +182,7 @@ def test_e2c_dynamics_of_a_known_linear_system() -> None:
     np.testing.assert_allclose(after.sigma, [math.sqrt(1 + 0.25 * 4), 2.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["random", "distance"])
 def test_the_decoder_of_an_objective_without_one_leaves_the_encoder_alone(name) -> None:
     def loss(model: PlanSpaceModel) -> jax.Array:
@@ -195,6 +196,7 @@ def test_the_decoder_of_an_objective_without_one_leaves_the_encoder_alone(name) 
     assert float(jnp.abs(gradient.decode.weights[0]).max()) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
 def test_a_batch_is_its_samples_and_all_have_a_gradient(name) -> None:
     objective, keys = OBJECTIVES[name], jr.split(jr.key(4), 5)

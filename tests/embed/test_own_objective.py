@@ -119,6 +119,7 @@ def test_an_object_without_the_methods_is_refused() -> None:
         as_objective(SimpleNamespace(loss=midpoint_loss))
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_not_finite_at_the_first_step_is_refused(demos: Demos) -> None:
     def loss(model, sample, *, key):
         return jnp.log(-1.0 - model.encode(sample.x[0]).mu[0] ** 2)

@@ -227,6 +227,7 @@ def test_the_iteration_counter_matters(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_step_counter_of_an_embedding_matters(train_embedding: Run, tmp_path: Path) -> None:
     assert_counter_and_log_matter(train_embedding, embed_training, "step", tmp_path)
 

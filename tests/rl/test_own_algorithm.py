@@ -48,6 +48,7 @@ def test_it_finds_the_known_answer_as_trpo_does() -> None:
         assert all(row.evaluation > -1.0 for row in trained.returns)
 
 
+@pytest.mark.slow
 def test_it_is_saved_resumed_and_played_as_a_shipped_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

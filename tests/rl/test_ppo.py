@@ -66,6 +66,7 @@ def test_every_sample_is_seen_once_an_epoch(
     np.testing.assert_array_equal(counted.log_std, 1.0)
 
 
+@pytest.mark.slow
 def test_whole_trajectories_are_samples_too(policy: GaussianPolicy, batch: ppo.Batch) -> None:
     """All at once, it makes no difference how steps are grouped."""
     config = replace(CONFIG, minibatch=120)
@@ -79,6 +80,7 @@ def test_whole_trajectories_are_samples_too(policy: GaussianPolicy, batch: ppo.B
     np.testing.assert_allclose(ravel_pytree(flat)[0], ravel_pytree(whole)[0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_it_stops_when_the_loss_does_not_move(policy: GaussianPolicy, batch: ppo.Batch) -> None:
     _, _, info = run(policy, batch, replace(CONFIG, tolerance=1e3))
     assert int(info.rounds) == 2  # the first epoch has nothing to be compared with

@@ -53,6 +53,7 @@ def test_conjugate_gradient_solves(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_update_improves_within_the_trust_region(policy: GaussianPolicy, batch: tuple) -> None:
     new, info = update(policy, *batch, CONFIG)
     moved = mean_kl(policy, new, batch[0])

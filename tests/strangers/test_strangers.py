@@ -71,6 +71,7 @@ def test_an_algorithm_learns_the_task_as_the_shipped_one_does() -> None:
         assert max(row.evaluation for row in trained.returns) > -20
 
 
+@pytest.mark.slow
 def test_an_objective_gives_what_the_shipped_one_with_the_same_loss_gives(demos: ps.Demos) -> None:
     config = replace(ps.FitConfig(), steps=60, batch=32, hidden=(16, 16))
     own = ps.fit_embedding(demos, midpoint_loss, config=config, num_seeds=1, verbose=False)
