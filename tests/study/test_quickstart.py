@@ -125,3 +125,14 @@ def test_settings_that_are_not_whole(change: dict[str, object], missing: str, tm
     (tmp_path / "config.json").write_text(json.dumps(whole | change))
     with pytest.raises(PlanspaceError, match=f"config.json does not say the run's {missing}; restore it"):
         rebuild(tmp_path)
+
+
+def test_a_metric_that_is_not_defined_is_shown_as_a_dash() -> None:
+    rows = dict.fromkeys((key for key, _, _ in module.GEOMETRY_ROWS), None)
+    demos = {"count": 3, "share_near_goal": 1.0, "near_goal": 0.5}
+    demos |= {"median_end_distance": 0.1, "median_duration_s": 1.0}
+    geometry = {"embedding": {**rows, "num_demos": 1}, "raw_state": rows}
+    summary = {"task": "cartpole", "budget": "smoke", "seed": 0, "demos": demos, "geometry": geometry}
+    assert "straightness                 -           -   1 is a straight line" in module.closing_table(
+        {**summary, "arms": {}}
+    )

@@ -112,7 +112,7 @@ def test_every_figure_and_table_is_there_as_a_file(page: Path) -> None:
     assert panel[1]["improvement"][0] == 1.0 and panel[1]["components"] is not None
     markdown = (page.parent / "tables.md").read_text()
     assert "| 10 |" in markdown and "1 more claims are about arms that were not run." in markdown
-    assert "400,000 steps a seed" in markdown
+    assert "400,000 steps per seed" in markdown
     assert EVIL not in markdown
     names = {file.name for file in (page.parent / "figures").iterdir()}
     panel_name = slug(ARMS[0].panel)

@@ -234,7 +234,8 @@ def closing_table(summary: dict[str, Any]) -> str:
         f"geometry on {geometry['embedding']['num_demos']} test demos    z     raw state",
     ]
     lines += [
-        f"  {name:<22}{geometry['embedding'][key]:>8.3f}{geometry['raw_state'][key]:>12.3f}   {hint}"
+        f"  {name:<22}{_metric(geometry['embedding'][key]):>8}"
+        f"{_metric(geometry['raw_state'][key]):>12}   {hint}"
         for key, name, hint in GEOMETRY_ROWS
     ]
     lines += ["", f"return of TRPO, last {FINAL_ITERATIONS} iterations    mean     worst      best   seeds"]
@@ -243,3 +244,8 @@ def closing_table(summary: dict[str, Any]) -> str:
         for label, row in summary["arms"].items()
     ]
     return "\n".join(lines)
+
+
+def _metric(value: float | None) -> str:
+    """A metric with three decimals; `-` if too few demonstrations define it."""
+    return "-" if value is None else f"{value:.3f}"
