@@ -105,3 +105,19 @@ def test_a_wrong_file_is_refused_with_its_name(verb: str, text: str, message: st
     with pytest.raises(UsageError) as error:
         parsed(verb, "x", "--config", tmp_path / "wrong.yaml", "--out", "y")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "seam"),
+    [
+        (("embed", "demos"), "objective"),
+        (("train", "cartpole"), "algorithm"),
+        (("plan", "pendulum"), "planner"),
+    ],
+)
+def test_a_config_file_cannot_run_code(arguments: tuple[str, ...], seam: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\nMINE = 1\n")
+    (tmp_path / "config.yaml").write_text(f"{seam}: {{name: '{tmp_path / 'mine.py'}:MINE'}}\n")
+    with pytest.raises(UsageError, match="is your own code: name it on the"):
+        parsed(*arguments, "--config", tmp_path / "config.yaml", "--out", "y")
+    assert not (tmp_path / "ran").exists()

@@ -65,7 +65,7 @@ def named_in_file(settings: Mapping[str, Any], seam: str) -> str | None:
     """
     group = settings.get(seam)
     name = group.get("name") if isinstance(group, Mapping) else None
-    if isinstance(group, Mapping) and "source_sha256" in group:
+    if isinstance(group, Mapping) and ("source_sha256" in group or is_object_path(str(name))):
         raise UsageError(
             f"the file was made with the {seam} {quoted(name)}, which is your own code: name it on the "
             "command line as module.py:NAME."
