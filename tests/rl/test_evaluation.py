@@ -26,6 +26,7 @@ TASK = "cartpole-swingup"
 CONFIG = TrainConfig(num_seeds=2, steps=3 * BATCH_STEPS)
 
 
+@pytest.mark.slow
 def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

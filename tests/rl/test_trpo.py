@@ -64,6 +64,7 @@ def test_an_update_improves_within_the_trust_region(policy: GaussianPolicy, batc
     assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # in the direction that was rewarded
 
 
+@pytest.mark.slow
 def test_a_failed_search_leaves_the_parameters_as_they_were(policy: GaussianPolicy, batch: tuple) -> None:
     impossible = replace(CONFIG, max_kl=-1.0)  # no policy is that near to another
     new, info = update(policy, *batch, impossible)
