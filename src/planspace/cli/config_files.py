@@ -48,6 +48,27 @@ def given_option(arguments: Sequence[str], name: str) -> str | None:
     return found
 
 
+def given_config(arguments: Sequence[str]) -> tuple[str | None, dict[str, Any]]:
+    """The file that a command line gives to `--config`, and its settings; None and nothing without one."""
+    path = given_option(arguments, "--config")
+    return path, {} if path is None else read_config(path)
+
+
+def check_least(verb: object, **least: int) -> None:
+    """Check the smallest values of a verb's options.
+
+    Args:
+        verb: holds the values.
+        least: smallest value by the name of the field.
+
+    Raises:
+        UsageError: a value is smaller.
+    """
+    for name, smallest in least.items():
+        if (value := getattr(verb, name)) < smallest:
+            raise UsageError(f"`--{name.replace('_', '-')}` must be at least {smallest}, got {value}.")
+
+
 def load_or_name(given: str) -> Any:
     """The object that `module.py:NAME` names in the user's own code, or the name of a shipped one."""
     return load_object(given) if is_object_path(given) else given

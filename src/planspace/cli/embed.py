@@ -9,10 +9,11 @@ from tyro.conf import Positional, arg
 
 from planspace.cli.config_files import (
     ConfigFile,
+    check_least,
+    given_config,
     given_option,
     load_or_name,
     named_in_file,
-    read_config,
     with_settings,
 )
 from planspace.cli.tables import print_columns
@@ -52,8 +53,7 @@ class Embed:
     @classmethod
     def default(cls, arguments: Sequence[str]) -> "Embed":
         """The defaults that --preset, --objective and --config ask for."""
-        path = given_option(arguments, "--config")
-        file = {} if path is None else read_config(path)
+        path, file = given_config(arguments)
         if "fit" in file:  # the config.json of an embedding
             file = update_saved(file["fit"])
         preset = given_option(arguments, "--preset") or file.get("preset", "modern")
@@ -78,9 +78,7 @@ class Embed:
             raise UsageError("which demonstrations? Give a dataset folder, which `planspace plan` makes.")
         if self.out is None:
             raise UsageError("`--out DIR` is required: the folder of the embedding.")
-        for name, least in (("seeds", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"`--{name}` must be at least {least}, got {getattr(self, name)}.")
+        check_least(self, seeds=1, seed=0)
         if self.device:
             use_device(self.device)
         use_compilation_cache()

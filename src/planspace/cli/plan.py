@@ -10,10 +10,11 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from planspace.cli.config_files import (
     ConfigFile,
+    check_least,
+    given_config,
     given_option,
     load_or_name,
     named_in_file,
-    read_config,
     with_settings,
 )
 from planspace.errors import UsageError
@@ -67,8 +68,7 @@ class Plan:
         """The defaults of the problem, and the settings that --planner, --settings and --config ask for."""
         from planspace.tasks.problem_file import load_problem
 
-        path = given_option(arguments, "--config")
-        file = {} if path is None else read_config(path)
+        path, file = given_config(arguments)
         file = file.get("settings", {}).get("config", file)  # a dataset records them in its manifest
         planner = given_option(arguments, "--planner") or named_in_file(file, "planner")
         chosen = None if planner is None else find_planner(load_or_name(planner))
@@ -90,9 +90,7 @@ class Plan:
             raise UsageError(f"which problem? {PROBLEM_HELP}")
         if self.out is None:
             raise UsageError("`--out DIR` is required: the folder of the dataset.")
-        for name, least in (("num", 1), ("workers", 0), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"`--{name}` must be at least {least}, got {getattr(self, name)}.")
+        check_least(self, num=1, workers=0, seed=0)
         problem = load_problem(self.problem, untrusted=self.untrusted)
         if self.cost is not None:
             problem = replace(problem, cost=self.cost)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from planspace.cli.config_files import check_least, load_or_name
 from planspace.errors import UsageError
 
 
@@ -33,7 +34,6 @@ class Play:
 
     def __call__(self) -> None:
         """Play, print the returns, and save the film."""
-        from planspace.cli.config_files import load_or_name
         from planspace.demos.render import FilmConfig, check_film, render_demos
         from planspace.rl.play import play
         from planspace.rl.saved_policy import load_policy
@@ -52,9 +52,7 @@ class Play:
             print(self.video)
 
     def _check(self) -> None:
-        for name, least in (("episodes", 1), ("start_seed", 0)):
-            if (value := getattr(self, name)) < least:
-                raise UsageError(f"`--{name.replace('_', '-')}` must be at least {least}, got {value}.")
+        check_least(self, episodes=1, start_seed=0)
         if self.seed != "best" and not (self.seed.isascii() and self.seed.isdigit()):
             raise UsageError(f"`--seed` must be best or a number, got {self.seed!r}.")
 

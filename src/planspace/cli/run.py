@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from planspace.errors import PartialResult, UsageError
+from planspace.cli.config_files import check_least
+from planspace.errors import PartialResult
 from planspace.tasks.catalog import TASKS
 
 
@@ -30,8 +31,7 @@ class Run:
         from planspace.storage.compiled import use_compilation_cache
         from planspace.study.quickstart import closing_table, run
 
-        if self.seed < 0:
-            raise UsageError(f"`--seed` must be at least 0, got {self.seed}.")
+        check_least(self, seed=0)
         use_compilation_cache()
         out = self.out or Path("runs") / f"{self.task}-{self.budget}"
         summary = run(self.task, self.budget, out, self.seed)

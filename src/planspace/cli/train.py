@@ -10,10 +10,10 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from planspace.cli.config_files import (
     ConfigFile,
+    given_config,
     given_option,
     load_or_name,
     named_in_file,
-    read_config,
     with_settings,
 )
 from planspace.errors import PartialResult, UsageError
@@ -60,8 +60,7 @@ class Train:
     @classmethod
     def default(cls, arguments: Sequence[str]) -> "Train":
         """The defaults that --algo, --preset and --config ask for."""
-        path = given_option(arguments, "--config")
-        file = {} if path is None else read_config(path)
+        path, file = given_config(arguments)
         algo = given_option(arguments, "--algo") or named_in_file(file, "algorithm") or "trpo"
         preset = given_option(arguments, "--preset") or file.get("preset", "paper")
         named = load_or_name(algo)
