@@ -21,9 +21,10 @@ from planspace.figures.learning_curves import plot_curves
 from planspace.figures.style import save_figure
 from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms import PRESETS
-from planspace.rl.config import BATCH_STEPS, TrainConfig, with_settings
+from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.learning_curve import learning_curve
 from planspace.rl.training import train_policies
+from planspace.seams import with_settings
 from planspace.storage.files import make_folder
 from planspace.study.tidy import Row, read_rows, write_rows
 from planspace.tasks.catalog import TASKS

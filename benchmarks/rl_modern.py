@@ -13,8 +13,9 @@ from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms.on_policy import OnPolicy
 from planspace.rl.algorithms.ppo import PPO
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.rl.config import TrainConfig, with_settings
+from planspace.rl.config import TrainConfig
 from planspace.rl.training import train_policies
+from planspace.seams import with_settings
 from planspace.storage.files import make_folder
 from planspace.study.tidy import Row, read_rows, write_rows
 

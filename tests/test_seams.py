@@ -43,7 +43,7 @@ def test_a_file_and_a_name_give_the_object(tmp_path: Path, monkeypatch: pytest.M
     [
         ("nothing", "expected module.py:NAME, got 'nothing'."),
         ("missing.py:X", "missing.py does not exist, so X cannot be imported from it."),
-        ("seams_named.py:ANSWR", "unknown name in seams_named 'ANSWR'. Did you mean 'ANSWER'?"),
+        ("seams_named.py:ANSWR", "seams_named has no 'ANSWR'. Did you mean 'ANSWER'?"),
         ("seams_broken.py:X", "importing seams_broken failed: ZeroDivisionError: division by zero"),
     ],
 )

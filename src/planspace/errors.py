@@ -52,6 +52,22 @@ def quoted(value: Any) -> str:
     return _SHORT.repr(value)
 
 
+def check_setting(name: str, value: Any, fits: bool, wanted: str) -> None:
+    """Check the value of a setting.
+
+    Args:
+        name: the setting.
+        value: its value.
+        fits: whether the value is allowed.
+        wanted: what is allowed, for the message: `"at least 1"`.
+
+    Raises:
+        UsageError: the value does not fit.
+    """
+    if not fits:
+        raise UsageError(f"`{name}` must be {wanted}, got {quoted(value)}.")
+
+
 def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:
     """Build the error for a name that does not exist, with the most similar name that does.
 
@@ -64,6 +80,11 @@ def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:
         The error; the caller raises it.
     """
     names = sorted(known)
-    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.4)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    hint = did_you_mean(str(name), names)
     return UsageError(f"unknown {kind} {quoted(name)}.{hint} Known: {', '.join(names)}.")
+
+
+def did_you_mean(name: str, known: list[str]) -> str:
+    """Return ` Did you mean ...?` with the most similar known name; empty if none is similar."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    return f" Did you mean {near[0]!r}?" if near else ""

@@ -11,11 +11,11 @@ import inspect
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from planspace.errors import UsageError, quoted, unknown
+from planspace.errors import UsageError, did_you_mean, quoted, unknown
 
 Seam = TypeVar("Seam")
 
@@ -46,8 +46,10 @@ def load_object(where: str) -> Any:
     except Exception as error:  # whatever the user's module raises
         raise UsageError(f"importing {module_name} failed: {type(error).__name__}: {error}") from error
     if not hasattr(module, name):
-        names = [n for n in vars(module) if not n.startswith("_")]
-        raise unknown(f"name in {module_name}", name, names)
+        names = sorted(n for n in vars(module) if not n.startswith("_"))
+        raise UsageError(
+            f"{module_name} has no {quoted(name)}.{did_you_mean(name, names)} It has: {', '.join(names)}."
+        )
     return getattr(module, name)
 
 
@@ -80,9 +82,10 @@ def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
         )
     missing = [name for name in wanted if not callable(getattr(given, name, None))]
     if missing:
+        methods = f"the method{'s' if len(wanted) > 1 else ''} {', '.join(wanted)}"
         raise UsageError(
-            f"{article(what, capital=True)} needs the methods {', '.join(wanted)}; {quoted(given)} has no "
-            f"{', '.join(missing)}. See {page}."
+            f"{article(what, capital=True)} needs {methods}; {quoted(given)} has no {', '.join(missing)}. "
+            f"See {page}."
         )
     return given
 
@@ -99,6 +102,39 @@ def name_of(given: Any) -> str:
         return name
     kind = given if inspect.isroutine(given) else type(given)
     return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def with_settings(given: Seam, /, **changes: Any) -> Seam:
+    """Copy a dataclass with other settings, its own or those of the dataclasses in its fields.
+
+    Args:
+        given: a dataclass.
+        changes: new values by field name, for example `gae_lambda=0.9`. Of two fields with the same name, the
+            outer one is changed.
+
+    Raises:
+        UsageError: no field has this name, or a value is out of its range.
+    """
+    known = _setting_names(given)
+    for name in changes:
+        if name not in known:
+            raise unknown("setting", name, known)
+    own = {f.name: changes[f.name] for f in _fields(given) if f.name in changes}
+    nested = {name: value for name, value in changes.items() if name not in own}
+    for f in _fields(given):
+        part = getattr(given, f.name)
+        if f.name not in own and (inner := nested.keys() & _setting_names(part)):
+            own[f.name] = with_settings(part, **{name: nested.pop(name) for name in inner})
+    return replace(given, **own) if own else given  # pyright: ignore[reportArgumentType]
+
+
+def _setting_names(given: Any) -> set[str]:
+    """The names of all fields, through nested dataclasses."""
+    return {name for f in _fields(given) for name in (f.name, *_setting_names(getattr(given, f.name)))}
+
+
+def _fields(given: Any) -> tuple[Field[Any], ...]:
+    return fields(given) if is_dataclass(given) else ()
 
 
 def plain_settings(value: Any) -> Any:

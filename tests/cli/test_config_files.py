@@ -62,11 +62,11 @@ def test_yaml_and_json_change_nested_settings(tmp_path: Path) -> None:
         ({"step": 3}, "f.yaml: unknown setting 'step'. Did you mean 'steps'?"),
         ({"steps": "3"}, "f.yaml: steps must be of type int, got '3'."),
         ({"steps": True}, "f.yaml: steps must be of type int, got True."),
-        ({"steps": 0}, "steps must be at least 1, got 0."),
+        ({"steps": 0}, "f.yaml: steps must be at least 1, got 0."),
         ({"mode": "slow"}, "f.yaml: mode must be one of 'fast', 'exact', got 'slow'."),
         ({"inner": {"sizes": 8}}, "f.yaml: sizes must be a list, got 8."),
         ({"inner": {"norm": "none"}}, "f.yaml: norm must be of type float, got 'none'."),
-        ({"inner": 3}, "f.yaml: inner must be of type Inner, got 3."),
+        ({"inner": 3}, "f.yaml: inner must be a group of settings, got 3."),
     ],
 )
 def test_wrong_settings_are_refused_with_file_and_name(settings: dict, message: str) -> None:

@@ -31,7 +31,7 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
         assert set(part["constant"]) == set(part["raw_state"]) == set(part["embedding"])
     train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
-    assert code == 0 and "--steps 4001 is rounded to 8000: whole iterations" in err
+    assert code == 0 and "--steps 4001 is rounded up to 8000, for whole iterations" in err
     assert "return, last iteration  mean " in out and "return, evaluation      mean " in out
     assert (run / "curve.svg").exists()
     assert call(capsys, "curves", run, run, "--out", tmp_path / "curves")[0] == 0

@@ -43,7 +43,10 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["plan", "reacher", "--settings", "min_rounds", "--out", "x"], "takes KEY=VALUE with a number, got"),
         (["plan", "reacher", "--settings", "min_round=4", "--out", "x"], "Did you mean 'sst_min_rounds'?"),
         (["plan", "reacher", "--workers", "-1", "--out", "x"], "`--workers` must be at least 0, got -1."),
-        (["plan", "reacher", "--settings", "restarts=0", "--out", "x"], "restarts must be at least 1"),
+        (
+            ["plan", "reacher", "--settings", "restarts=0", "--out", "x"],
+            "`restarts` must be at least 1, got 0.",
+        ),
         (["plan", "reacher", "--cost", "speed", "--out", "x"], "invalid choice 'speed'"),
         (["train"], "which task? One of acrobot-swingup, arm, cartpole"),
         (["train", "cartpole"], "`--out DIR` is required"),
@@ -60,7 +63,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["measure"], "Missing from planspace measure: EMBEDDING"),
         (["curves", "--out", "x"], "which runs? Give the folders that `planspace train` made"),
         (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
-        (["train", "cartpole", "--seed", "-1", "--out", "x"], "seed must be at least 0, got -1"),
+        (["train", "cartpole", "--seed", "-1", "--out", "x"], "`seed` must be at least 0, got -1"),
         (["train", "cartpole", "--hidden", "0", "--out", "x"], "hidden layers need at least one unit each"),
         (["play", "x", "--video", "x.txt"], "x.txt is not a film; give FILE.gif or FILE.mp4"),
         (["export", "e"], "Missing from planspace export: FILE"),
@@ -87,7 +90,10 @@ def test_a_failure_is_one_line_and_exit_code_1_and_debug_shows_more(
 ) -> None:
     code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere")
     assert code == 1
-    assert err.strip() == f"planspace: {tmp_path}/nowhere is not a demo dataset: it has no manifest.json."
+    assert err.strip() == (
+        f"planspace: {tmp_path}/nowhere does not exist. `planspace plan` and `planspace demos import` make "
+        "datasets."
+    )
     code, _, err = call(capsys, "demos", "show", tmp_path / "nowhere", "--debug")
     assert code == 1 and "Traceback" in err
 

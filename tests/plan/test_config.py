@@ -36,7 +36,7 @@ def test_settings_of_other_planners_are_checked_and_not_used() -> None:
     problem = replace(load_problem("pendulum"), settings=(("goal_bias", 0.5), ("ompl_goal_bias", 0.3)))
     assert PlanConfig.for_problem(problem).planner == SST(goal_bias=0.5)
     assert PlanConfig.for_problem(problem, planner="ompl-est").planner == OMPL("EST", goal_bias=0.3)
-    with pytest.raises(UsageError, match="ompl_seconds must be positive"):
+    with pytest.raises(UsageError, match="`ompl_seconds` must be above 0, got"):
         PlanConfig.for_problem(problem, ompl_seconds=-1)
 
 
@@ -59,7 +59,7 @@ def test_number_of_searches() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"restarts": 0}, "settings: restarts must be at least 1, got 0"),
+        ({"restarts": 0}, "settings: `restarts` must be at least 1, got 0"),
         ({"goal_bias": 2}, "settings: .*must"),
         ({"tail_every": 0}, "settings: .*must"),
         ({"witness_size": 0}, "settings: .*must"),

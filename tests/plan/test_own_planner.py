@@ -138,8 +138,8 @@ class Searcher:
     ("planner", "message"),
     [
         (BangBang, "expected a Planner, got the class BangBang: pass an instance."),
-        (Searcher(), "A Planner needs the methods plan; .*Searcher.* has no plan."),
-        (3, "A Planner needs the methods plan; 3 has no plan."),
+        (Searcher(), "A Planner needs the method plan; .*Searcher.* has no plan."),
+        (3, "A Planner needs the method plan; 3 has no plan."),
     ],
 )
 def test_objects_that_do_not_fit_are_refused_where_they_are_handed_over(

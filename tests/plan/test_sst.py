@@ -1,10 +1,12 @@
 import itertools
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.plan import tree as tree_module
 from planspace.plan.config import RegulatorConfig
@@ -81,10 +83,18 @@ def test_gives_up_within_its_budget_and_reports_the_nearest_distance() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"extensions": 0}, {"shrink": 0.0}, {"shrink": 1.5}, {"min_edge_steps": 11}]
+    ("wrong", "message"),
+    [
+        ({"extensions": 0}, "`extensions` must be at least 1, got 0."),
+        ({"shrink": 0.0}, "`shrink` must be above 0 and at most 1, got 0.0."),
+        ({"shrink": 1.5}, "`shrink` must be above 0 and at most 1, got 1.5."),
+        ({"min_edge_steps": 11}, "`min_edge_steps` must be at most max_edge_steps, which is 10, got 11."),
+        ({"bang_bang": 2.0}, "`bang_bang` must be between 0 and 1, got 2.0."),
+        ({"seconds": -1.0}, "`seconds` must be at least 0, got -1.0."),
+    ],
 )
-def test_settings_out_of_range_are_refused(wrong: dict) -> None:
-    with pytest.raises(ValueError, match="must"):
+def test_settings_out_of_range_are_refused(wrong: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)):
         SST(**wrong)
 
 

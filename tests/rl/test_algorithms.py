@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,10 @@ from planspace.rl.algorithms import ALGORITHMS, PRESETS, find_algorithm
 from planspace.rl.algorithms.on_policy import MODERN, OnPolicy
 from planspace.rl.algorithms.ppo import PPO
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.rl.config import TrainConfig, with_settings
+from planspace.rl.config import TrainConfig
 from planspace.rl.saved_settings import read_settings
 from planspace.rl.training import train_policies
+from planspace.seams import with_settings
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
 
@@ -27,7 +29,7 @@ def test_unknown_names_are_refused() -> None:
         find_algorithm("tpro")
     with pytest.raises(UsageError, match="unknown preset of ppo 'old'.* Known: modern, paper"):
         find_algorithm("ppo", "old")
-    with pytest.raises(UsageError, match="unknown hyper-parameter 'lam'"):
+    with pytest.raises(UsageError, match="unknown setting 'lam'"):
         with_settings(TRPO(), lam=0.9)
 
 
@@ -55,6 +57,25 @@ def test_settings_of_version_0_1_0_are_read() -> None:
     other = saved | {"algo": "ppo", "learner": {"trace": 0.5, "hidden": [8], "ppo": ppo}}
     expected = with_settings(PPO(), gae_lambda=0.5, hidden=(8,), **ppo)
     assert read_settings(other)[1].algorithm == expected
+
+
+@pytest.mark.parametrize(
+    ("preset", "change", "message"),
+    [
+        (("trpo", "paper"), {"discount": 5.0}, "`discount` must be between 0 and 1, got 5.0."),
+        (("trpo", "paper"), {"entropy_reward": -1.0}, "`entropy_reward` must be at least 0 and finite"),
+        (("trpo", "paper"), {"max_kl": 0.0}, "`max_kl` must be above 0 and finite, got 0.0."),
+        (("trpo", "paper"), {"backtrack_ratio": 1.0}, "`backtrack_ratio` must be above 0 and below 1"),
+        (("ppo", "paper"), {"gae_lambda": -0.1}, "`gae_lambda` must be between 0 and 1, got -0.1."),
+        (("ppo", "modern"), {"clip": float("nan")}, "`clip` must be above 0 and finite, got nan."),
+        (("ppo", "modern"), {"minibatch": 0}, "`minibatch` must be at least 1, got 0."),
+    ],
+)
+def test_hyperparameters_out_of_range_are_refused(
+    preset: tuple[str, str], change: dict[str, float], message: str
+) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)):
+        with_settings(PRESETS[preset], **change)
 
 
 def test_settings_that_are_not_whole_are_refused() -> None:

@@ -74,15 +74,15 @@ def test_misfits_of_task_and_embedding_are_refused(embedding: Embedding, tmp_pat
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"num_seeds": 0}, "num_seeds must be at least 1, got 0"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
-        ({"eval_every": -1}, "eval_every must be at least 0, got -1"),
+        ({"num_seeds": 0}, "`num_seeds` must be at least 1, got 0"),
+        ({"seed": -1}, "`seed` must be at least 0, got -1"),
+        ({"eval_every": -1}, "`eval_every` must be at least 0, got -1"),
         ({"obs": "trigg"}, "unknown obs 'trigg'. Did you mean 'trig'?"),
         ({"algorithm": 3}, "An Algorithm needs the methods act, collect, init, update; 3 has no act"),
         ({"z_to": "critic"}, "z_to is 'critic', but there is no z"),
         ({"hidden": ()}, "hidden layers need at least one unit"),
         ({"hidden": (32, 0)}, "hidden layers need at least one unit"),
-        ({"match_z": -2}, "match_z must be at least 0, got -2"),
+        ({"match_z": -2}, "`match_z` must be at least 0 and finite, got -2"),
         ({"critic": "cubic"}, "unknown critic 'cubic'"),
     ],
 )

@@ -54,6 +54,40 @@ def given_config(arguments: Sequence[str]) -> tuple[str | None, dict[str, Any]]:
     return path, {} if path is None else read_config(path)
 
 
+def given_name(arguments: Sequence[str], file: Mapping[str, Any], option: str) -> str | None:
+    """The name that an option has on the command line or, without it, in a file of settings; or None.
+
+    Args:
+        arguments: the command line after its verb.
+        file: the content of the file.
+        option: for example `preset`.
+
+    Raises:
+        UsageError: the file has something else than a name there.
+    """
+    name = given_option(arguments, f"--{option}") or file.get(option)
+    if not isinstance(name, str | None):
+        raise UsageError(f"--config: {option} must be a name, got {quoted(name)}.")
+    return name
+
+
+def group_in_file(file: Mapping[str, Any], key: str, where: str = "--config") -> Mapping[str, Any]:
+    """The group of settings under a key of a file; empty if the file does not have the key.
+
+    Args:
+        file: the content of the file.
+        key: the key.
+        where: the file, for messages.
+
+    Raises:
+        UsageError: the key does not hold a group of settings.
+    """
+    group = file.get(key, {})
+    if not isinstance(group, Mapping):
+        raise UsageError(f"{where}: {key} must be a group of settings, got {quoted(group)}.")
+    return group
+
+
 def check_least(verb: object, **least: int) -> None:
     """Check the smallest values of a verb's options.
 
@@ -82,11 +116,13 @@ def named_in_file(settings: Mapping[str, Any], seam: str) -> str | None:
         seam: the field that holds the object, such as `planner`.
 
     Raises:
-        UsageError: the object is a user's own, which only the command line may name.
+        UsageError: the object is a user's own, which only the command line may name, or has no valid name.
     """
-    group = settings.get(seam)
-    name = group.get("name") if isinstance(group, Mapping) else None
-    if isinstance(group, Mapping) and ("source_sha256" in group or is_object_path(str(name))):
+    group = group_in_file(settings, seam)
+    name = group.get("name")
+    if not isinstance(name, str | None):
+        raise UsageError(f"--config: the name of the {seam} must be text, got {quoted(name)}.")
+    if "source_sha256" in group or is_object_path(str(name)):
         raise UsageError(
             f"the file was made with the {seam} {quoted(name)}, which is your own code: name it on the "
             "command line as module.py:NAME."
@@ -127,13 +163,13 @@ def with_settings(
         if key not in known:
             raise UsageError(f"{where}: {unknown('setting', key, known)}")
         current = getattr(config, key)
-        if is_dataclass(current) and not isinstance(current, type) and isinstance(value, Mapping):
-            changes[key] = with_settings(current, value, where)
+        if is_dataclass(current) and not isinstance(current, type):
+            changes[key] = with_settings(current, group_in_file(settings, key, where), where)
         else:
             changes[key] = _converted(value, hints[key], f"{where}: {key}")
     try:
         return replace(config, **changes)  # pyright: ignore[reportArgumentType]
-    except ValueError as error:
+    except (UsageError, ValueError) as error:
         raise UsageError(f"{where}: {error}") from error
 
 

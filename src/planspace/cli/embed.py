@@ -11,7 +11,9 @@ from planspace.cli.config_files import (
     ConfigFile,
     check_least,
     given_config,
+    given_name,
     given_option,
+    group_in_file,
     load_or_name,
     named_in_file,
     with_settings,
@@ -55,8 +57,8 @@ class Embed:
         """The defaults that --preset, --objective and --config ask for."""
         path, file = given_config(arguments)
         if "fit" in file:  # the config.json of an embedding
-            file = update_saved(file["fit"])
-        preset = given_option(arguments, "--preset") or file.get("preset", "modern")
+            file = update_saved(group_in_file(file, "fit"))
+        preset = given_name(arguments, file, "preset") or "modern"
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
         objective = (

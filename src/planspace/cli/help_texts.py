@@ -28,8 +28,8 @@ def set_help_texts(kind: Any, default: Any = None) -> None:
     for field in fields(kind):
         value = getattr(default, field.name, field.default)
         if field.name in texts:
-            negation = "Switch off: " if value is True else ""  # the option is --no-NAME
-            field.metadata = {**field.metadata, HELP: negation + texts[field.name]}  # pyright: ignore
+            negation = " This option turns that off." if value is True else ""  # the option is --no-NAME
+            field.metadata = {**field.metadata, HELP: texts[field.name] + negation}  # pyright: ignore
         set_help_texts(type(value) if is_dataclass(value) else field.type, value)
 
 

@@ -13,6 +13,7 @@ from planspace.cli.config_files import (
     check_least,
     given_config,
     given_option,
+    group_in_file,
     load_or_name,
     named_in_file,
     with_settings,
@@ -69,7 +70,8 @@ class Plan:
         from planspace.tasks.problem_file import load_problem
 
         path, file = given_config(arguments)
-        file = file.get("settings", {}).get("config", file)  # a dataset records them in its manifest
+        if "config" in (recorded := group_in_file(file, "settings")):  # the manifest of a dataset
+            file = group_in_file(recorded, "config")
         planner = given_option(arguments, "--planner") or named_in_file(file, "planner")
         chosen = None if planner is None else find_planner(load_or_name(planner))
         config = PlanConfig() if chosen is None else PlanConfig(chosen)

@@ -11,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from planspace.cli.config_files import (
     ConfigFile,
     given_config,
+    given_name,
     given_option,
     load_or_name,
     named_in_file,
@@ -62,7 +63,7 @@ class Train:
         """The defaults that --algo, --preset and --config ask for."""
         path, file = given_config(arguments)
         algo = given_option(arguments, "--algo") or named_in_file(file, "algorithm") or "trpo"
-        preset = given_option(arguments, "--preset") or file.get("preset", "paper")
+        preset = given_name(arguments, file, "preset") or "paper"
         named = load_or_name(algo)
         algorithm = find_algorithm(named, preset) if isinstance(named, str) else named
         config = TrainConfig(check_fits(algorithm, Algorithm, HOW_TO))
@@ -99,7 +100,10 @@ class Train:
 
         rounded = self.config.iterations * num_episodes(task, self.config.batch_steps) * task.horizon
         if rounded != self.config.steps:
-            print(f"--steps {self.config.steps} is rounded to {rounded}: whole iterations", file=sys.stderr)
+            print(
+                f"--steps {self.config.steps} is rounded up to {rounded}, for whole iterations",
+                file=sys.stderr,
+            )
 
     def _draw_curve(self, trained: "TrainedPolicies", out: Path) -> None:
         from planspace.figures.learning_curves import plot_curves

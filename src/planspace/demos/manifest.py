@@ -78,7 +78,8 @@ def read_manifest(folder: Path) -> Manifest:
     """
     file = folder / MANIFEST
     if not file.exists():
-        raise PlanspaceError(f"{folder} is not a demo dataset: it has no {MANIFEST}.")
+        what = f"is not a demo dataset: it has no {MANIFEST}" if folder.exists() else "does not exist"
+        raise PlanspaceError(f"{folder} {what}. `planspace plan` and `planspace demos import` make datasets.")
     found = read_description(file, kind="demos", schema=SCHEMA)
     with reject_malformed(file):
         info = parse_info(found["info"])

@@ -3,13 +3,16 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from tyro.conf import arg
 
 from planspace.embed.inputs import INPUT_TYPES, InputType
 from planspace.embed.objective import PAGE, Objective, as_objective
 from planspace.embed.objectives import OBJECTIVES
 from planspace.embed.objectives.variational import Variational
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, check_setting, unknown
+from planspace.seams import with_settings
 
 PresetName = Literal["modern", "paper"]
 
@@ -28,8 +31,8 @@ class FitConfig:
     midpoint error on the validation split, `paper` by the path error on the training split."""
     objective: Objective = field(default_factory=Variational)
     """What is minimised, and on which samples."""
-    columns: tuple[str, ...] = ()
-    """Names of the states that the encoder reads; by default all."""
+    columns: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """Names of the states that the encoder reads."""
     z_dim: int = 3
     """Numbers in z; the paper has 3 and 10."""
     inputs: InputType = "trig"
@@ -37,8 +40,8 @@ class FitConfig:
     and cos of angles on a circle, then standardised."""
     hidden: tuple[int, ...] = PAPER_HIDDEN
     """Units of the hidden layers of encoder and decoder."""
-    spacings: tuple[int, ...] = ()
-    """Steps between the members of a triplet; by default any three states of a demonstration."""
+    spacings: Annotated[tuple[int, ...], arg(help_behavior_hint="(default: any three states)")] = ()
+    """Steps between the members of a triplet of states of a demonstration."""
     short_fraction: float = 0.5
     """Without `spacings`: the fraction of triplets with a log-uniform, so mostly short, length; the others
     span most of a demonstration. Lower values give straighter plans; higher values give a z that helps
@@ -79,16 +82,16 @@ class FitConfig:
             ("spacings", self.spacings),
         ):
             for value in values:
-                _check(name, value, value >= 1, "at least 1")
+                check_setting(name, value, value >= 1, "at least 1")
         for name in ("sigma_floor", "z_std"):
             value = getattr(self, name)
-            _check(name, value, 0 <= value < math.inf, "at least 0 and finite")
+            check_setting(name, value, 0 <= value < math.inf, "at least 0 and finite")
         for name in ("short_fraction", "whitening"):
-            _check(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
-        _check("average", self.average, 0 <= self.average < 1, "at least 0 and below 1")
+            check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
+        check_setting("average", self.average, 0 <= self.average < 1, "at least 0 and below 1")
         rate, norm = self.learning_rate, self.clip_norm
-        _check("learning_rate", rate, 0 < rate < math.inf, "above 0 and finite")
-        _check("clip_norm", norm, norm is None or norm > 0, "above 0")
+        check_setting("learning_rate", rate, 0 < rate < math.inf, "above 0 and finite")
+        check_setting("clip_norm", norm, norm is None or norm > 0, "above 0")
         if self.inputs not in INPUT_TYPES:
             raise unknown("inputs", self.inputs, INPUT_TYPES)
 
@@ -119,14 +122,7 @@ class FitConfig:
         Raises:
             UsageError: neither these settings nor the objective have a setting of that name.
         """
-        own, weights = ({f.name for f in _settings_of(given)} for given in (self, self.objective))
-        for name in changes:
-            if name not in own | weights:
-                raise unknown("setting", name, own | weights)
-        objective: Any = self.objective
-        if of_objective := {name: changes[name] for name in changes if name not in own}:
-            objective = replace(objective, **of_objective)
-        return replace(self, **{"objective": objective, **{n: changes[n] for n in changes if n in own}})
+        return with_settings(self, **changes)
 
 
 _RENAMED = {"near": "short_fraction", "z_deviation": "z_std"}
@@ -157,11 +153,6 @@ def _share_weights(new: Objective, old: Objective) -> Objective:
 
 def _settings_of(given: Any) -> tuple[Any, ...]:
     return fields(given) if is_dataclass(given) else ()
-
-
-def _check(name: str, value: Any, fits: bool, wanted: str) -> None:
-    if not fits:
-        raise UsageError(f"`{name}` must be {wanted}, got {value}.")
 
 
 PRESETS: dict[PresetName, FitConfig] = {

@@ -23,7 +23,7 @@ from planspace.embed.geometry import (
 )
 from planspace.embed.inputs import check_numbers
 from planspace.errors import PlanspaceError, UsageError
-from planspace.progress import progress
+from planspace.progress import progress, progress_shown
 from planspace.storage.checks import MAX_BYTES, check_file
 from planspace.summary import html_summary, text_summary
 
@@ -101,7 +101,11 @@ class Truth(NamedTuple):
 
 
 def measure_embedding(
-    embedding: Embedding, demos: Demos, *, truth: str | Path | Truth | None = None
+    embedding: Embedding,
+    demos: Demos,
+    *,
+    truth: str | Path | Truth | None = None,
+    verbose: bool = True,
 ) -> Measurement:
     """Measure an embedding on demonstrations.
 
@@ -110,6 +114,7 @@ def measure_embedding(
         demos: the demonstrations; if it was trained on them, each split is measured separately.
         truth: shortest times to a goal, or an .npz with `states` [n, state], `time` [n] and `goal` [state];
             the columns are those of the demonstrations.
+        verbose: show a progress bar.
 
     Raises:
         PlanspaceError: the demonstrations lack a state that the embedding reads, numbers are too large to
@@ -130,7 +135,7 @@ def measure_embedding(
         )
     checks = run_checks(embedding, used, truth, demos.info.names)
     measured: dict[str, SplitMeasurement] = {}
-    with progress("measure", len(splits), unit="split") as bar:
+    with progress_shown(verbose), progress("measure", len(splits), unit="split") as bar:
         for name, part in splits.items():
             measured[name] = _measure_split(embedding, used, part, reference)
             bar.update()

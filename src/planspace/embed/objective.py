@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.embed.triplet_source import Triplets, TripletSource
-from planspace.errors import UsageError, quoted
+from planspace.errors import UsageError, check_setting, quoted
 from planspace.seams import check_fits, name_of
 
 if TYPE_CHECKING:
@@ -143,8 +143,7 @@ def check_weights(**weights: float) -> None:
         UsageError: a weight is negative or not finite.
     """
     for name, weight in weights.items():
-        if not 0 <= weight < math.inf:
-            raise UsageError(f"`{name}` must be at least 0 and finite, got {weight}.")
+        check_setting(name, weight, 0 <= weight < math.inf, "at least 0 and finite")
 
 
 def split_loss(found: Loss) -> tuple[Array, Mapping[str, Array]]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, check_setting, unknown
 from planspace.plan.planner import PAGE, Planner, as_planner
 from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
@@ -33,11 +33,15 @@ class PolishConfig:
     stiffly."""
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        if self.max_iterations < 0 or self.max_blocks < 1:
-            raise ValueError("polish_max_blocks must be at least 1, polish_max_iterations not negative")
-        if not (0 < self.landing <= 1 and self.tracking_cost > 0):
-            raise ValueError("polish_landing must lie in (0, 1], polish_tracking_cost must be positive")
+        """Check the ranges.
+
+        Raises:
+            UsageError: a setting is out of its range.
+        """
+        check_setting("polish_max_iterations", self.max_iterations, self.max_iterations >= 0, "at least 0")
+        check_setting("polish_max_blocks", self.max_blocks, self.max_blocks >= 1, "at least 1")
+        check_setting("polish_landing", self.landing, 0 < self.landing <= 1, "above 0 and at most 1")
+        check_setting("polish_tracking_cost", self.tracking_cost, self.tracking_cost > 0, "above 0")
 
 
 @dataclass(frozen=True)
@@ -55,11 +59,15 @@ class RegulatorConfig:
     """Physics steps for which the regulator must then hold the goal, if the problem wants it held."""
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        if self.max_steps < 1 or self.hold_steps < 0:
-            raise ValueError("regulator_max_steps must be at least 1, regulator_hold_steps not negative")
-        if not (self.control_cost > 0 and self.velocity_cost >= 0):
-            raise ValueError("regulator_control_cost must be positive, regulator_velocity_cost not negative")
+        """Check the ranges.
+
+        Raises:
+            UsageError: a setting is out of its range.
+        """
+        check_setting("regulator_max_steps", self.max_steps, self.max_steps >= 1, "at least 1")
+        check_setting("regulator_hold_steps", self.hold_steps, self.hold_steps >= 0, "at least 0")
+        check_setting("regulator_control_cost", self.control_cost, self.control_cost > 0, "above 0")
+        check_setting("regulator_velocity_cost", self.velocity_cost, self.velocity_cost >= 0, "at least 0")
 
 
 @dataclass(frozen=True)
@@ -76,10 +84,13 @@ class PlanConfig:
     """Takes over near the goal and holds it."""
 
     def __post_init__(self) -> None:
-        """Check the planner and the restarts."""
+        """Check the planner and the restarts.
+
+        Raises:
+            UsageError: the object is no `Planner`, or there are fewer than 1 restarts.
+        """
         check_fits(self.planner, Planner, PAGE)
-        if self.restarts is not None and self.restarts < 1:
-            raise ValueError(f"restarts must be at least 1, got {self.restarts}")
+        check_setting("restarts", self.restarts, self.restarts is None or self.restarts >= 1, "at least 1")
 
     @property
     def num_searches(self) -> int:
@@ -146,8 +157,8 @@ class _Settings:
             parts = {key: replace(part, **changed[key]) for key, part in self.parts.items() if changed[key]}
             parts = self.parts | parts
             return PlanConfig(parts[self.group], restarts, parts["polish"], parts["regulator"])
-        except ValueError as error:
-            raise UsageError(f"settings: {error}.") from error
+        except (UsageError, ValueError) as error:
+            raise UsageError(f"settings: {error}") from error
 
     def _place(self, key: str) -> tuple[str, str]:
         """The part and the field that a setting names."""

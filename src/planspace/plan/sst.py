@@ -5,10 +5,23 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from planspace.errors import check_setting
 from planspace.plan.planner import Failure, Plan
 
 if TYPE_CHECKING:
     from planspace.plan.query import Query
+
+
+COUNTS = (
+    "extensions",
+    "min_rounds",
+    "max_rounds",
+    "min_edge_steps",
+    "shrink_every",
+    "tail_every",
+    "tail_candidates",
+)
+"""Settings that must be at least 1."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +64,21 @@ class SST:
     """Number of new nodes, the most promising ones, from which the regulator tries."""
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        if min(self.extensions, self.min_rounds, self.max_rounds, self.min_edge_steps) < 1:
-            raise ValueError("extensions, rounds and edge steps must be at least 1")
-        if self.min_edge_steps > self.max_edge_steps:
-            raise ValueError(
-                f"min_edge_steps must be at most {self.max_edge_steps}, got {self.min_edge_steps}"
-            )
-        if min(self.shrink_every, self.tail_every, self.tail_candidates) < 1 or self.seconds < 0:
-            raise ValueError("shrink_every, tail_every and tail_candidates must be at least 1, seconds 0")
-        if not 0 < self.shrink <= 1:
-            raise ValueError(f"shrink must lie in (0, 1], got {self.shrink}")
-        if not (0 <= self.goal_bias <= 1 and 0 <= self.bang_bang <= 1):
-            raise ValueError("goal_bias and bang_bang are fractions: they must lie in [0, 1]")
-        if not (self.witness_size > 0 and self.selection_radius >= 0):
-            raise ValueError("witness_size must be positive, selection_radius not negative")
+        """Check the ranges.
+
+        Raises:
+            UsageError: a setting is out of its range.
+        """
+        for name in COUNTS:
+            check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
+        least, most = self.min_edge_steps, self.max_edge_steps
+        check_setting("min_edge_steps", least, least <= most, f"at most max_edge_steps, which is {most}")
+        for name in ("seconds", "selection_radius"):
+            check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
+        for name in ("goal_bias", "bang_bang"):
+            check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
+        check_setting("shrink", self.shrink, 0 < self.shrink <= 1, "above 0 and at most 1")
+        check_setting("witness_size", self.witness_size, self.witness_size > 0, "above 0")
 
     def plan(self, query: "Query", rng: np.random.Generator) -> Plan | Failure:
         """Grow a tree from the start until the regulator reaches the goal from one of its nodes."""

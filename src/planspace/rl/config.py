@@ -1,15 +1,15 @@
 """Settings of a training run. Imports no JAX, so that `--help` answers at once."""
 
 import math
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import arg
 
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, check_setting, unknown
 from planspace.rl.algorithm import HOW_TO, Algorithm
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.seams import check_fits
+from planspace.seams import check_fits, with_settings
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
@@ -72,15 +72,11 @@ class TrainConfig:
                 raise unknown(name, getattr(self, name), get_args(known))
         if self.z == "none" and self.z_to != "both":
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
-        if not 0 < self.shaping_scale < math.inf:
-            raise UsageError(f"shaping_scale must be above 0, got {self.shaping_scale}.")
-        if self.seed < 0:
-            raise UsageError(f"seed must be at least 0, got {self.seed}.")
-        if self.eval_every < 0:
-            raise UsageError(f"eval_every must be at least 0, got {self.eval_every}.")
-        for name in ("num_seeds", "steps", "batch_steps"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        scale = self.shaping_scale
+        check_setting("shaping_scale", scale, 0 < scale < math.inf, "above 0 and finite")
+        for least, names in enumerate((("seed", "eval_every"), ("num_seeds", "steps", "batch_steps"))):
+            for name in names:
+                check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
 
     @property
     def needs_embedding(self) -> bool:
@@ -106,40 +102,3 @@ class TrainConfig:
     def iterations(self) -> int:
         """Iterations of `batch_steps` that make at least `steps`."""
         return -(-self.steps // self.batch_steps)
-
-
-def with_settings(algorithm: Algorithm, **changes: Any) -> Algorithm:
-    """Copy of an algorithm with other hyper-parameters, its own or those of its nested groups.
-
-    Args:
-        algorithm: a dataclass.
-        changes: new values by field name, for example `gae_lambda=0.9`.
-
-    Raises:
-        UsageError: it has no such hyper-parameter.
-    """
-    known = {path[-1]: path for path in _field_paths(algorithm)}
-    for name, value in changes.items():
-        if name not in known:
-            raise unknown("hyper-parameter", name, known)
-        algorithm = _replaced(algorithm, known[name], value)
-    return algorithm
-
-
-def _field_paths(value: Any) -> list[tuple[str, ...]]:
-    """The path of every field, through nested groups."""
-    if not is_dataclass(value):
-        return []
-    nested = [(f.name, *rest) for f in fields(value) for rest in ((), *_field_paths(getattr(value, f.name)))]
-    return [path for path in nested if not is_dataclass(_at(value, path))]
-
-
-def _at(value: Any, path: tuple[str, ...]) -> Any:
-    for name in path:
-        value = getattr(value, name)
-    return value
-
-
-def _replaced(value: Any, path: tuple[str, ...], new: Any) -> Any:
-    name, *rest = path
-    return replace(value, **{name: _replaced(getattr(value, name), tuple(rest), new) if rest else new})

@@ -31,7 +31,7 @@ def load_history(run: Path, shape: tuple[int, int] | None = None) -> Arrays:
         PlanspaceError: the run is not finished, or the history is damaged.
     """
     if not (run / HISTORY).exists():
-        raise PlanspaceError(f"{run} holds no finished training: it has no {HISTORY}.")
+        raise PlanspaceError(f"{run} is not the folder of a finished training run: it has no {HISTORY}.")
     history = read_arrays(run / HISTORY)
     with reject_malformed(run / HISTORY):
         _check(history, shape or history["return"].shape)

@@ -7,7 +7,8 @@ from typing import Any
 from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms import ALGORITHMS, find_algorithm
-from planspace.rl.config import TrainConfig, with_settings
+from planspace.rl.config import TrainConfig
+from planspace.seams import with_settings
 
 OLD_NAMES = {"trace": "gae_lambda"}
 """Hyper-parameters that were renamed, old name to new name."""

@@ -15,6 +15,8 @@ MAX_TEXT = 4096
 """Characters of a key or a value: enough for a path. PyYAML is slow for long numbers with colons."""
 MAX_SHOWN = 80
 """Characters of a value in a message."""
+BYTES = "<byte string>"
+"""PyYAML's name of a text that it did not open itself."""
 MERGE_TAG = "tag:yaml.org,2002:merge"
 
 
@@ -28,7 +30,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         settings = yaml.load(data, Loader=StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise PlanspaceError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+        problem = " ".join(str(error).replace(f'in "{BYTES}", ', "at ").split())
+        raise PlanspaceError(f"{path} is not valid YAML: {problem}") from error
     if not isinstance(settings, dict):
         raise PlanspaceError(f"{path} must hold keys and values, got a {type(settings).__name__}.")
     if not all(isinstance(key, str) for key in settings):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Suppress
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, check_setting, unknown
 from planspace.plan.planner import Failure, Plan
 
 if TYPE_CHECKING:
@@ -51,13 +51,20 @@ class OMPL:
         return f"ompl-{self.algorithm.lower()}"
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        if self.algorithm not in (*CONTROL_ALGORITHMS, *GEOMETRIC_ALGORITHMS):
-            raise ValueError(f"ompl_algorithm must be a planner of OMPL, got {self.algorithm!r}")
-        if not (self.seconds > 0 and self.iterations >= 0 and 0 <= self.goal_bias <= 1):
-            raise ValueError("ompl_seconds must be positive, ompl_goal_bias lie in [0, 1]")
-        if not 1 <= self.min_edge_steps <= self.max_edge_steps:
-            raise ValueError("ompl_min_edge_steps must lie between 1 and ompl_max_edge_steps")
+        """Check the ranges.
+
+        Raises:
+            UsageError: a setting is out of its range.
+        """
+        algorithms = (*CONTROL_ALGORITHMS, *GEOMETRIC_ALGORITHMS)
+        if self.algorithm not in algorithms:
+            raise unknown("ompl_algorithm", self.algorithm, algorithms)
+        check_setting("ompl_seconds", self.seconds, self.seconds > 0, "above 0")
+        check_setting("ompl_iterations", self.iterations, self.iterations >= 0, "at least 0")
+        check_setting("ompl_goal_bias", self.goal_bias, 0 <= self.goal_bias <= 1, "between 0 and 1")
+        least, most = self.min_edge_steps, self.max_edge_steps
+        wanted = f"at least 1 and at most ompl_max_edge_steps, which is {most}"
+        check_setting("ompl_min_edge_steps", least, 1 <= least <= most, wanted)
 
     def plan(self, query: "Query", rng: np.random.Generator) -> Plan | Failure:
         """Search once, in a process that may crash."""

@@ -1,9 +1,10 @@
 """Hyper-parameters that TRPO and PPO share. Imports no JAX, so that `--help` answers at once."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, check_setting, unknown
 
 CriticName = Literal["linear", "mlp"]
 
@@ -40,15 +41,18 @@ class OnPolicy:
         """Check names and sizes.
 
         Raises:
-            UsageError: the critic is unknown, a layer has no units, or `match_z` is negative.
+            UsageError: the critic is unknown, a layer has no units, or a number is out of its range.
         """
         if self.critic not in get_args(CriticName):
             raise unknown("critic", self.critic, get_args(CriticName))
         for layers in (self.hidden, self.critic_hidden):
             if not layers or min(layers) < 1:
                 raise UsageError(f"hidden layers need at least one unit each, got {layers}.")
-        if self.match_z < 0:
-            raise UsageError(f"match_z must be at least 0, got {self.match_z}.")
+        for name in ("discount", "gae_lambda"):
+            check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
+        for name in ("match_z", "entropy_reward"):
+            value = getattr(self, name)
+            check_setting(name, value, 0 <= value < math.inf, "at least 0 and finite")
 
 
 TRPO_2020 = OnPolicy()

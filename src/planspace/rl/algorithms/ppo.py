@@ -1,11 +1,13 @@
 """Proximal policy optimisation with a clipped ratio (Schulman et al. 2017)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from planspace.errors import check_setting
 from planspace.rl.algorithm import Arm, Key, PolicyNetwork, Rollout
 from planspace.rl.algorithms.on_policy import PPO_2020, OnPolicy
 
@@ -34,6 +36,19 @@ class PPO:
     """Stop after an epoch that changes the loss by less than this; 0 never stops early."""
     clip_norm: float | None = None
     """Norm to which gradients are clipped; none by default."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            UsageError: a hyper-parameter is out of its range.
+        """
+        for name in ("clip", "learning_rate", "clip_norm"):
+            value = getattr(self, name)
+            check_setting(name, value, value is None or 0 < value < math.inf, "above 0 and finite")
+        for name in ("epochs", "minibatch"):
+            check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
+        check_setting("tolerance", self.tolerance, self.tolerance >= 0, "at least 0")
 
     def init(self, arm: Arm, *, key: Key) -> Any:
         """Return a fresh policy and critic, and the state of Adam."""

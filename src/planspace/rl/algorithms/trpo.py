@@ -1,11 +1,13 @@
 """Trust region policy optimisation (Schulman et al. 2015)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from planspace.errors import check_setting
 from planspace.rl.algorithm import Arm, Key, PolicyNetwork, Rollout
 from planspace.rl.algorithms.on_policy import TRPO_2020, OnPolicy
 
@@ -30,6 +32,19 @@ class TRPO:
     """Factor by which the line search shortens a rejected step."""
     max_backtracks: int = 15
     """Rejected steps after which the line search leaves the policy unchanged."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            UsageError: a hyper-parameter is out of its range.
+        """
+        check_setting("max_kl", self.max_kl, 0 < self.max_kl < math.inf, "above 0 and finite")
+        check_setting("cg_steps", self.cg_steps, self.cg_steps >= 1, "at least 1")
+        check_setting("cg_damping", self.cg_damping, 0 <= self.cg_damping < math.inf, "at least 0 and finite")
+        ratio = self.backtrack_ratio
+        check_setting("backtrack_ratio", ratio, 0 < ratio < 1, "above 0 and below 1")
+        check_setting("max_backtracks", self.max_backtracks, self.max_backtracks >= 0, "at least 0")
 
     def init(self, arm: Arm, *, key: Key) -> Any:
         """Return a fresh policy and critic."""
