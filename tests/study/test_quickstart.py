@@ -8,7 +8,16 @@ import pytest
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.study import quickstart as module
-from planspace.study.quickstart import BUDGETS, closing_table, rebuild, run
+from planspace.study.quickstart import BUDGETS, rebuild, run
+from planspace.study.run_summary import (
+    GEOMETRY_ROWS,
+    ArmReturns,
+    DemosSummary,
+    GeometrySummary,
+    RunSummary,
+    as_json,
+    as_text,
+)
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
 
@@ -30,15 +39,15 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
-def test_goes_through_every_stage_and_does_no_finished_work_twice(
+def test_run_does_every_stage_and_repeats_no_finished_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
     summary = run("cartpole-swingup", "smoke", out, 0)
-    assert list(summary["arms"]) == ["raw", "raw + sin/cos", "raw + sin/cos + z"]
-    assert summary["demos"]["share_near_goal"] >= 0.95
-    assert json.loads((out / "summary.json").read_text()) == summary
-    table = closing_table(summary)
+    assert list(summary.arms) == ["raw", "raw + sin/cos", "raw + sin/cos + z"]
+    assert summary.demos.fraction_near_goal >= 0.95
+    assert json.loads((out / "summary.json").read_text()) == as_json(summary)
+    table = as_text(summary)
     assert "raw + sin/cos + z" in table and "midpoint error" in table
 
     stamps = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file()}
@@ -60,7 +69,7 @@ def test_goes_through_every_stage_and_does_no_finished_work_twice(
         rebuild(out)
     file.write_bytes(whole)
 
-    # an interrupt in the last arm costs that arm's last steps, nothing else
+    # after an interrupt in the last arm, only that arm has work left
     (out / "train" / "trig-z" / "history.safetensors").unlink()
     trained = []
     train = module.train_policies
@@ -79,31 +88,30 @@ def test_goes_through_every_stage_and_does_no_finished_work_twice(
 @pytest.mark.parametrize("task", ["cartpole", "reacher-trig", "reacher-raw"])
 def test_every_task_runs(task: str, tmp_path: Path) -> None:
     summary = run(task, "smoke", tmp_path / "run", 0)
-    assert len(summary["arms"]) == (2 if task == "reacher-trig" else 3)
+    assert len(summary.arms) == (2 if task == "reacher-trig" else 3)
     assert (tmp_path / "run" / "report.html").stat().st_size > 1e6
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
-def test_the_report_needs_nothing_beside_it_and_names_stay_text(tmp_path: Path) -> None:
+def test_report_is_self_contained_and_escapes_names(tmp_path: Path) -> None:
     from planspace.demos.load import load_demos
     from planspace.embed.saved_embedding import load_embedding
     from planspace.storage.arrays import read_arrays
     from planspace.study.quickstart_report import write_report
 
     out = tmp_path / "run"
-    summary = run("cartpole-swingup", "smoke", out, 0)
-    summary["task"] = "<script>alert(1)</script>"
+    summary = replace(run("cartpole-swingup", "smoke", out, 0), task="<script>alert(1)</script>")
     demos, embedding = load_demos(out / "demos"), load_embedding(out / "embedding")
     history = read_arrays(out / "train" / "raw" / "history.safetensors")
     html = write_report(out, summary, demos, embedding, {"raw": history}).read_text()
     assert "&lt;script&gt;alert(1)" in html and "<script>alert(1)" not in html
-    own = html[: html.index("<script>")] + html[html.index("</script>") :]  # Plotly's code names many places
+    own = html[: html.index("<script>")] + html[html.index("</script>") :]  # Plotly's code contains many URLs
     assert "http" not in own.replace("http-equiv", "")
     assert "default-src 'none'" in own
 
 
-def test_a_folder_of_another_kind_is_no_run(tmp_path: Path) -> None:
+def test_rebuild_rejects_a_folder_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(PlanspaceError, match="cannot read"):
         rebuild(tmp_path)
     (tmp_path / "config.json").write_text("{}")
@@ -120,19 +128,39 @@ def test_a_folder_of_another_kind_is_no_run(tmp_path: Path) -> None:
         ({"seed": "0"}, "seed"),
     ],
 )
-def test_settings_that_are_not_whole(change: dict[str, object], missing: str, tmp_path: Path) -> None:
+def test_rebuild_rejects_an_incomplete_config(
+    change: dict[str, object], missing: str, tmp_path: Path
+) -> None:
     whole = {"command": "run", "task": "cartpole", "budget": "smoke", "seed": 0}
     (tmp_path / "config.json").write_text(json.dumps(whole | change))
-    with pytest.raises(PlanspaceError, match=f"config.json does not say the run's {missing}; restore it"):
+    with pytest.raises(PlanspaceError, match=f"config.json has no valid {missing}; restore the file"):
         rebuild(tmp_path)
 
 
-def test_a_metric_that_is_not_defined_is_shown_as_a_dash() -> None:
-    rows = dict.fromkeys((key for key, _, _ in module.GEOMETRY_ROWS), None)
-    demos = {"count": 3, "share_near_goal": 1.0, "near_goal": 0.5}
-    demos |= {"median_end_distance": 0.1, "median_duration_s": 1.0}
-    geometry = {"embedding": {**rows, "num_demos": 1}, "raw_state": rows}
-    summary = {"task": "cartpole", "budget": "smoke", "seed": 0, "demos": demos, "geometry": geometry}
-    assert "straightness                 -           -   1 is a straight line" in module.closing_table(
-        {**summary, "arms": {}}
-    )
+METRICS = dict.fromkeys((key for key, _, _ in GEOMETRY_ROWS), None)
+SUMMARY = RunSummary(
+    task="cartpole",
+    budget="smoke",
+    seed=0,
+    version="1.0",
+    demos=DemosSummary(
+        count=3, fraction_near_goal=1.0, near_goal=0.5, median_end_distance=0.1, median_duration_s=1.0
+    ),
+    geometry=GeometrySummary(embedding_seed=2, embedding={**METRICS, "num_demos": 1}, raw_state=METRICS),
+    arms={"raw": ArmReturns(steps=8000, seeds=2, mean=2.0, worst=1.0, best=3.0, standard_deviation=1.4)},
+    diverged=("raw: seed 1",),
+)
+
+
+def test_an_undefined_metric_is_shown_as_a_dash() -> None:
+    assert "straightness                 -           -   1 is a straight line" in as_text(SUMMARY)
+
+
+def test_the_keys_of_the_summary_file_do_not_change() -> None:
+    found = as_json(SUMMARY)
+    assert " ".join(found) == "task budget seed version demos geometry arms diverged"
+    demos_keys = "count share_near_goal near_goal median_end_distance median_duration_s"
+    assert " ".join(found["demos"]) == demos_keys
+    assert " ".join(found["geometry"]) == "split embedding_seed embedding raw_state"
+    assert " ".join(found["arms"]["raw"]) == "steps seeds mean worst best deviation"
+    assert json.loads(json.dumps(found)) == found

@@ -23,10 +23,11 @@ class Report:
 
     def __call__(self) -> None:
         """Write the report and print the closing table."""
-        from planspace.study.quickstart import closing_table, rebuild
+        from planspace.study.quickstart import rebuild
+        from planspace.study.run_summary import as_json, as_text
 
         summary = rebuild(self.folder)
         if self.json:
-            print_json(summary)
+            print_json(as_json(summary))
         else:
-            print(closing_table(summary))
+            print(as_text(summary))

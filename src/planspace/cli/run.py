@@ -29,13 +29,14 @@ class Run:
     def __call__(self) -> None:
         """Run every stage and print the closing table."""
         from planspace.storage.compiled import use_compilation_cache
-        from planspace.study.quickstart import closing_table, run
+        from planspace.study.quickstart import run
+        from planspace.study.run_summary import as_text
 
         check_least(self, seed=0)
         use_compilation_cache()
         out = self.out or Path("runs") / f"{self.task}-{self.budget}"
         summary = run(self.task, self.budget, out, self.seed)
-        print(closing_table(summary))
+        print(as_text(summary))
         print(f"\nreport           {out / 'report.html'}")
-        if summary["diverged"]:
-            raise PartialResult(f"training diverged: {'; '.join(summary['diverged'])}.")
+        if summary.diverged:
+            raise PartialResult(f"training diverged: {'; '.join(summary.diverged)}.")

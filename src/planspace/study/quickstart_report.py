@@ -2,7 +2,6 @@
 
 import base64
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,32 +17,22 @@ from planspace.storage.arrays import Arrays
 from planspace.storage.files import make_folder
 from planspace.study.figures import interactive_curves, plain_layout, plot_paths
 from planspace.study.html import embedded, write_page
-
-FINAL_ITERATIONS = 10
-"""The closing table averages each seed's return over this many last iterations."""
-GEOMETRY_ROWS = (
-    ("straightness", "straightness", "1 is a straight line"),
-    ("speed_variation", "speed variation", "0 is constant speed"),
-    ("midpoint_error", "midpoint error", "0 is even spacing on a line"),
-    ("time_correlation", "time correlation", "1: distance to the end orders the time left"),
-    ("effective_rank", "effective rank", "dimensions in use"),
-    ("decoded_error", "decoded error", "of the state decoded from z, in standard deviations"),
-)
+from planspace.study.run_summary import FINAL_ITERATIONS, GEOMETRY_ROWS, RunSummary
 
 
 def write_report(
-    out: Path, summary: dict[str, Any], demos: Demos, embedding: Embedding, histories: dict[str, Arrays]
+    out: Path, summary: RunSummary, demos: Demos, embedding: Embedding, histories: dict[str, Arrays]
 ) -> Path:
-    """Writes `report.html` and `figures/` into a run's folder.
+    """Write `report.html` and `figures/` into a run's folder.
 
     Returns:
-        The report's path.
+        The path of the report.
     """
     curves = {label: learning_curve(history) for label, history in histories.items()}
     folder = make_folder(out / "figures")
     demo_picture = save_figure(plot_demos(demos), folder, "demos")
     save_figure(plot_paths(demos, embedding), folder, "paths")
-    save_figure(plot_curves(curves, summary["task"]), folder, "curves")
+    save_figure(plot_curves(curves, summary.task), folder, "curves")
     return write_page(
         out / "report.html",
         "quickstart.html",

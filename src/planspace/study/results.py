@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-Metrics = Mapping[str, float | None]
+Metrics = Mapping[str, int | float | None]
 """Geometry metrics by name; None if not finite."""
 
 
