@@ -31,14 +31,14 @@ def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
     demos: Demos, tmp_path: Path
 ) -> None:
     config = replace(PRESETS["modern"], steps=1500, batch=128)
-    trained = fit_embedding(demos, out=tmp_path / "a", config=config, num_seeds=2).about
+    trained = fit_embedding(demos, out=tmp_path / "a", config=config, num_seeds=2).require_about()
     untrained = fit_embedding(
         demos, out=tmp_path / "b", config=replace(config, steps=1), num_seeds=2, seed=0
-    ).about
-    z, raw = trained["metrics"]["train"], trained["metrics_raw_state"]
+    ).require_about()
+    z, raw = trained.metrics["train"], trained.metrics_raw_state
     assert z["straightness"] > 1.3 * raw["straightness"]
-    assert z["midpoint_error"] < untrained["metrics"]["train"]["midpoint_error"]
-    assert z["decoded_error"] < 0.6 * untrained["metrics"]["train"]["decoded_error"]
+    assert z["midpoint_error"] < untrained.metrics["train"]["midpoint_error"]
+    assert z["decoded_error"] < 0.6 * untrained.metrics["train"]["decoded_error"]
     assert z["active_dims"] == 3
 
 
@@ -71,8 +71,8 @@ def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path)
     config = replace(QUICK_FIT, steps=50, batch=16)
     alone = fit_embedding(demos, out=tmp_path / "alone", config=config, num_seeds=1, seed=1, split_seed=0)
     beside = fit_embedding(demos, out=tmp_path / "beside", config=config, num_seeds=2)
-    a = alone.about["metrics_of_seeds"]["1"]["straightness"]
-    b = beside.about["metrics_of_seeds"]["1"]["straightness"]
+    a = alone.require_about().metrics_of_seeds[1]["straightness"]
+    b = beside.require_about().metrics_of_seeds[1]["straightness"]
     assert a == pytest.approx(b, rel=1e-3)  # batched arithmetic rounds otherwise, no more
 
 
@@ -215,7 +215,7 @@ def _cut(demos: Demos, i: int, length: int) -> Episode:
 def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: str) -> None:
     config = replace(QUICK_FIT.with_objective(name), steps=30)
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2)
-    assert embedding.about["settings"]["fit"]["objective"]["name"] == name
+    assert embedding.require_about().settings.fit["objective"]["name"] == name
     assert np.isfinite(embedding.encode(demos.states)).all()
     assert load_embedding(tmp_path / "e").hash == embedding.hash
 
@@ -233,7 +233,8 @@ def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) ->
     )
     for a, b in zip(short.encoder[0], long.encoder[0], strict=True):
         np.testing.assert_array_equal(a, b)
-    assert long.about["metrics"]["train"]["decoded_error"] < short.about["metrics"]["train"]["decoded_error"]
+    error_1, error_200 = (e.require_about().metrics["train"]["decoded_error"] for e in (short, long))
+    assert error_200 < error_1
 
 
 @pytest.mark.slow
@@ -242,7 +243,7 @@ def test_named_columns_alone_are_read(demos: Demos, tmp_path: Path) -> None:
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert embedding.inputs.names == ("hingevel", "hinge")
     assert embedding.inputs.circular_columns == (1,)
-    assert embedding.about["metrics"]["test"]["num_demos"] == 1
+    assert embedding.require_about().metrics["test"]["num_demos"] == 1
     with pytest.raises(PlanspaceError, match="'elbow' is missing"):
         fit_embedding(
             demos, out=tmp_path / "f", config=replace(config, columns=("elbow",)), num_seeds=1, seed=0
@@ -253,17 +254,17 @@ def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) ->
     rows = [json.loads(line) for line in (embedding_folder / "log.jsonl").read_text().splitlines()]
     assert rows[-1]["step"] == QUICK_FIT.steps
     assert len(rows[-1]["bound"]) == len(rows[-1]["path_error"]) == len(rows[-1]["midpoint_error"]) == 2
-    about = load_embedding(embedding_folder).about
-    assert {name: len(part) for name, part in about["split"].items()} == {
+    about = load_embedding(embedding_folder).require_about()
+    assert {name: len(part) for name, part in about.split.items()} == {
         "train": 10,
         "validation": 1,
         "test": 1,
     }
-    assert about["metrics"]["validation"]["midpoint_error"] == pytest.approx(
-        about["metrics_of_seeds"][str(about["seed"])]["midpoint_error"]
+    assert about.metrics["validation"]["midpoint_error"] == pytest.approx(
+        about.metrics_of_seeds[about.seed]["midpoint_error"]
     )
-    assert set(about["intervals"]["test"]) == set(about["metrics"]["test"]) - {"num_demos"}
-    assert about["metrics_constant"]["effective_rank"] == 0.0
+    assert set(about.intervals["test"]) == set(about.metrics["test"]) - {"num_demos"}
+    assert about.metrics_constant["effective_rank"] == 0.0
     assert "straightness" in (embedding_folder / "README.md").read_text()
 
 

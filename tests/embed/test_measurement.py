@@ -16,7 +16,7 @@ NAMES = ("slider", "hinge", "slidervel", "hingevel")
 def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding, demos: Demos) -> None:
     found = measure_embedding(embedding, demos).to_dict()
     assert set(found["splits"]) == {"train", "validation", "test"}
-    assert found["splits"]["test"]["embedding"] == embedding.about["metrics"]["test"]
+    assert found["splits"]["test"]["embedding"] == embedding.require_about().metrics["test"]
     assert found["splits"]["train"]["embedding"]["num_demos"] == 10
     for part in found["splits"].values():
         for metric, (low, high) in part["intervals"].items():
@@ -98,30 +98,19 @@ def test_an_array_alone_and_half_a_file_are_no_truth(tmp_path: Path) -> None:
             load_truth(tmp_path / name, NAMES)
 
 
-SPLITS = {
-    "no split of it": lambda about: about["split"].pop("test"),
-    "a text": lambda about: about.update(split="x"),
-    "fractions": lambda about: about["split"].update(train=[0.5]),
-    "texts": lambda about: about["split"].update(train=["x"]),
-    "nothing that can be": lambda about: about["split"].update(train=[None]),
-    "too far": lambda about: about["split"].update(test=[10**6]),
-    "far too far": lambda about: about["split"].update(test=[10**30]),
-    "from the end": lambda about: about["split"].update(test=[-1]),
-    "twice": lambda about: about["split"].update(test=about["split"]["train"]),
-    "empty": lambda about: about["split"].update(test=[]),
-}
-
-
-@pytest.mark.parametrize("lie", SPLITS)
-def test_splits_that_cannot_be(lie: str, embedding: Embedding, demos: Demos) -> None:
-    SPLITS[lie](embedding.about)
+@pytest.mark.parametrize("test", [(10**6,), (10**30,), (-1,), (0,), ()])
+def test_an_impossible_split_is_rejected(test: tuple[int, ...], embedding: Embedding, demos: Demos) -> None:
+    about = embedding.require_about()
+    split = {**about.split, "train": (0, *about.split["train"]), "test": test}
+    embedding = replace(embedding, about=replace(about, split=split))
     with pytest.raises(PlanspaceError, match="does not assign each of them to one of"):
         measure_embedding(embedding, demos)
 
 
-def test_a_split_without_its_demonstrations_is_none(embedding: Embedding, demos: Demos) -> None:
-    embedding.about.pop("settings")
-    assert list(measure_embedding(embedding, demos).splits) == ["all"]
+def test_an_embedding_without_a_training_record_is_measured_on_one_split(
+    embedding: Embedding, demos: Demos
+) -> None:
+    assert list(measure_embedding(replace(embedding, about=None), demos).splits) == ["all"]
 
 
 def test_numbers_too_large_to_be_measured_are_refused(embedding: Embedding, demos: Demos) -> None:

@@ -28,8 +28,11 @@ def test_a_function_gives_the_embedding_of_the_shipped_objective_with_the_same_l
     ours = fit_embedding(demos, "direct", config=CONFIG, num_seeds=2, verbose=False)
     own = fit_embedding(demos, midpoint_loss, config=CONFIG, num_seeds=2, verbose=False)
     np.testing.assert_allclose(own.encode(demos.states), ours.encode(demos.states), atol=1e-3)
-    assert own.about["seed"] == ours.about["seed"]
-    assert own.about["objective"]["summary"].startswith("The distance between x_t and the state decoded")
+    assert own.require_about().seed == ours.require_about().seed
+    objective = own.require_about().objective
+    assert objective is not None and objective.summary.startswith(
+        "The distance between x_t and the state decoded"
+    )
 
 
 @pytest.mark.slow
@@ -40,14 +43,14 @@ def test_a_class_draws_its_samples_and_its_settings_and_terms_are_recorded(
         fit_embedding(demos, Contrast(margin=m), config=CONFIG, out=tmp_path / str(m), num_seeds=1)
         for m in (0.5, 3.0)
     )
-    saved = tight.about["settings"]["fit"]["objective"]
+    saved = tight.require_about().settings.fit["objective"]
     assert saved["name"] == "tests.strangers.own_objective:Contrast" and saved["margin"] == 0.5
     assert len(saved["source_sha256"]) == 64
     row = json.loads((tmp_path / "0.5" / "log.jsonl").read_text().splitlines()[-1])
     assert {"bound", "pull", "push"} <= row.keys()
     assert (wide.encode(demos.states) != tight.encode(demos.states)).any()
     # the loss does not use the decoder, so training fits the decoder to z
-    assert wide.about["metrics"]["train"]["decoded_error"] < 1.0
+    assert wide.require_about().metrics["train"]["decoded_error"] < 1.0
     assert load_embedding(tmp_path / "3.0").hash == wide.hash
 
 

@@ -169,7 +169,7 @@ def test_a_constant_z_is_drawn_at_distance_zero() -> None:
 
 
 def test_draw_a_trained_embedding(embedding: Embedding, demos: Demos) -> None:
-    episodes = np.array(embedding.about["split"]["train"])
+    episodes = np.array(embedding.require_about().split["train"])
     paths = embedded_paths(embedding, demos, episodes)
     num_segments = sum(len(demos.episode(int(i)).states) - 1 for i in episodes)
     assert len(segments(rendered(plot_paths(paths)).axes[0])) == num_segments

@@ -92,7 +92,7 @@ class Embed:
             seed=self.seed,
             tensorboard=self.tensorboard,
         )
-        about = embedding.about
-        seeds = ", ".join(map(str, about["settings"]["seeds"]))
-        print(f"seed {about['seed']} saved in {self.out}, the best of {seeds}")
-        print_columns("test split", {"z": about["metrics"]["test"], "raw state": about["metrics_raw_state"]})
+        about = embedding.require_about()
+        seeds = ", ".join(map(str, about.settings.seeds))
+        print(f"seed {about.seed} saved in {self.out}, the best of {seeds}")
+        print_columns("test split", {"z": about.metrics["test"], "raw state": about.metrics_raw_state})

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from planspace.embed.about import About
 from planspace.embed.embedding import Embedding
 
 METRICS = {
@@ -32,26 +33,22 @@ def model_card(embedding: Embedding) -> str:
     """Describe an embedding in Markdown.
 
     Args:
-        embedding: what its `about` does not hold is left out of the card.
+        embedding: without its `about`, the sections on training, geometry and versions are left out.
 
     Returns:
         The card. `fit_embedding` saves it as README.md in the embedding's folder, where its example runs.
     """
-    sections = [
-        _head(embedding),
-        _use(embedding),
-        _inputs(embedding),
-        _training(embedding.about),
-        _geometry(embedding),
-        _limits(embedding),
-        _versions(embedding.about),
-    ]
-    return "\n\n".join(section for section in sections if section) + "\n"
+    about = embedding.about
+    sections = [_head(embedding), _use(embedding), _inputs(embedding)]
+    sections += [] if about is None else [_training(about), _geometry(about)]
+    sections += [_limits(embedding)]
+    sections += [] if about is None else [_versions(about)]
+    return "\n\n".join(sections) + "\n"
 
 
 def _head(embedding: Embedding) -> str:
     about = embedding.about
-    of = f" of {_code(about['problem'])}" if about.get("problem") else ""
+    of = f" of {_code(about.problem)}" if about is not None and about.problem else ""
     numbers = (
         f"a state of {_count(embedding.state_dim, 'number')} to z of {_count(embedding.z_dim, 'number')}"
     )
@@ -60,10 +57,9 @@ def _head(embedding: Embedding) -> str:
         "constant speed, so that |z(a) - z(b)| measures the effort between two states. An agent observes z "
         "in addition to the state, or instead of it."
     )
-    if objective := about.get("objective", {}):
-        text += (
-            f" It was trained with the objective {_code(objective['name'])}: {_plain(objective['summary'])}"
-        )
+    if about is not None and about.objective is not None:
+        objective = about.objective
+        text += f" It was trained with the objective {_code(objective.name)}: {_plain(objective.summary)}"
     return f"# Plan-space embedding{of}\n\n{text}\n\nSHA-256 of inputs and weights: {_code(embedding.hash)}"
 
 
@@ -102,22 +98,14 @@ def _inputs(embedding: Embedding) -> str:
     return f"## Inputs\n\n{_table(['', 'state', 'unit', 'on a circle'], rows)}\n\n{how}"
 
 
-def _training(about: Mapping[str, Any]) -> str:
-    settings = about.get("settings", {})
-    config = settings.get("fit", {})
-    lines = [
-        _preset(about, config.get("objective", {})),
-        _seeds(about, settings.get("seeds", [])),
-        _length(about),
-        _demos(about, settings),
-        _split(about.get("split", {}), settings.get("split_seed")),
-    ]
-    lines = [f"- {line}" for line in lines if line]
-    return "## Training\n\n" + "\n".join(lines) if lines else ""
+def _training(about: About) -> str:
+    lines = [_preset(about), _seeds(about), _length(about), _demos(about), _split(about)]
+    return "## Training\n\n" + "\n".join(f"- {line}" for line in lines if line)
 
 
-def _preset(about: Mapping[str, Any], objective: Mapping[str, Any]) -> str:
-    parts = [f"preset {_code(about['preset'])}"] if "preset" in about else []
+def _preset(about: About) -> str:
+    parts = [f"preset {_code(about.preset)}"]
+    objective: Mapping[str, Any] = about.settings.fit.get("objective", {})
     if "name" in objective:
         numbers = {k: v for k, v in objective.items() if isinstance(v, int | float) and v is not True}
         weights = ", ".join(f"{k} {v:g}" for k, v in numbers.items() if v)
@@ -125,76 +113,55 @@ def _preset(about: Mapping[str, Any], objective: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _seeds(about: Mapping[str, Any], seeds: Sequence[int]) -> str:
-    selected = about.get("seed")
-    if selected is None:
-        return ""
+def _seeds(about: About) -> str:
+    seeds = about.settings.seeds
     if len(seeds) < 2:
-        return f"one seed: {selected}"
-    choice = CHOICE.get(about.get("preset", ""))
-    line = f"seeds {', '.join(map(str, seeds))}; {selected} is selected" + (f": {choice}" if choice else "")
-    errors = [g.get("midpoint_error") for g in about.get("metrics_of_seeds", {}).values()]
-    if errors and None not in errors:
-        line += (
-            f" (midpoint errors on the validation split: {_number(min(errors))} to {_number(max(errors))})"
-        )
-    return line
+        return f"one seed: {about.seed}"
+    choice = CHOICE.get(about.preset)
+    line = f"seeds {', '.join(map(str, seeds))}; {about.seed} is selected" + (f": {choice}" if choice else "")
+    errors = [metrics["midpoint_error"] for metrics in about.metrics_of_seeds.values()]
+    return (
+        f"{line} (midpoint errors on the validation split: {_number(min(errors))} to {_number(max(errors))})"
+    )
 
 
-def _length(about: Mapping[str, Any]) -> str:
-    if about.get("objective", {}).get("closed_form"):
+def _length(about: About) -> str:
+    if about.objective is not None and about.objective.closed_form:
         return "in closed form"
-    config = about.get("settings", {}).get("fit", {})
+    config = about.settings.fit
     if "steps" not in config or "batch" not in config:
         return ""
     return f"{config['steps']:,} optimiser steps of {config['batch']:,} triplets of states"
 
 
-def _demos(about: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    if "demos" not in settings:
-        return ""
-    split = about.get("split")
-    line = _count(sum(map(len, split.values())), "demonstration") if split else "demonstrations"
-    if about.get("problem"):
-        line += f" of the problem {_code(about['problem'])}"
-    return f"{line}, SHA-256 of their content {_code(settings['demos'])}"
+def _demos(about: About) -> str:
+    line = _count(sum(map(len, about.split.values())), "demonstration")
+    if about.problem:
+        line += f" of the problem {_code(about.problem)}"
+    return f"{line}, SHA-256 of their content {_code(about.settings.demos)}"
 
 
-def _split(split: Mapping[str, Sequence[int]], seed: int | None) -> str:
-    if not split:
-        return ""
-    sizes = ", ".join(f"{len(part)} {name}" for name, part in split.items())
-    return f"split by whole demonstrations: {sizes}" + ("" if seed is None else f" (split seed {seed})")
+def _split(about: About) -> str:
+    sizes = ", ".join(f"{len(part)} {name}" for name, part in about.split.items())
+    return f"split by whole demonstrations: {sizes} (split seed {about.settings.split_seed})"
 
 
-def _geometry(embedding: Embedding) -> str:
-    about = embedding.about
-    metrics = about.get("metrics", {}).get("test", {})
-    names = [name for name in METRICS if name in metrics]
-    if not names:
-        return ""
-    intervals = about.get("intervals", {}).get("test", {})
-    baselines = [("raw state", "metrics_raw_state"), ("constant z", "metrics_constant")]
-    baselines = [(title, about[key]) for title, key in baselines if about.get(key)]
+def _geometry(about: About) -> str:
+    metrics, intervals = about.metrics["test"], about.intervals["test"]
     rows = []
-    for name in names:
+    for name, (title, ideal) in METRICS.items():
         z = _number(metrics[name])
         if name in intervals:
             z += " [{}, {}]".format(*map(_number, intervals[name]))
-        rows.append([METRICS[name][0], z, *(_number(g.get(name)) for _, g in baselines), METRICS[name][1]])
-    header = [
-        "metric",
-        "z [95 % interval]" if intervals else "z",
-        *(title for title, _ in baselines),
-        "ideal",
-    ]
-    measured = f"the {_count(metrics['num_demos'], 'demonstration')} of" if "num_demos" in metrics else ""
+        baselines = (_number(g.get(name)) for g in (about.metrics_raw_state, about.metrics_constant))
+        rows.append([title, z, *baselines, ideal])
+    header = ["metric", "z [95 % interval]", "raw state", "constant z", "ideal"]
     text = (
-        f"Measured on {measured} the test split, which was used neither to train nor to select the seed. "
-        "`planspace measure` measures other demonstrations. `Geometry` in `planspace.embed.geometry` defines "
-        "the metrics."
+        f"Measured on the {_count(int(metrics['num_demos']), 'demonstration')} of the test split, which was "
+        "used neither to train nor to select the seed. `planspace measure` measures other demonstrations. "
+        "`Geometry` in `planspace.embed.geometry` defines the metrics."
     )
-    return f"## Geometry on the test split\n\n{_table(header, rows)}\n\n{' '.join(text.split())}"
+    return f"## Geometry on the test split\n\n{_table(header, rows)}\n\n{text}"
 
 
 def _limits(embedding: Embedding) -> str:
@@ -211,9 +178,8 @@ def _limits(embedding: Embedding) -> str:
     return "## Limits\n\n" + "\n".join(f"- {limit}" for limit in limits)
 
 
-def _versions(about: Mapping[str, Any]) -> str:
-    versions = about.get("versions", {})
-    return "## Versions\n\n" + ", ".join(f"{k} {v}" for k, v in versions.items()) if versions else ""
+def _versions(about: About) -> str:
+    return "## Versions\n\n" + ", ".join(f"{k} {v}" for k, v in about.versions.items())
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -2,14 +2,14 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from planspace.embed.about import About
 from planspace.embed.inputs import Inputs
 from planspace.embed.mlp import Layer, forward
 from planspace.embed.support import Support
@@ -61,8 +61,8 @@ class Embedding:
     """Maps the encoder's output to z; None if the output is z itself."""
     support: Support | None = None
     """The region that the demonstrations cover; None if it is not known."""
-    about: dict[str, Any] = field(default_factory=dict)
-    """Preset, seed, settings, metrics and versions, as saved."""
+    about: About | None = None
+    """Preset, seed, settings, metrics and versions; None if `fit_embedding` did not make the embedding."""
 
     @property
     def z_dim(self) -> int:
@@ -162,6 +162,18 @@ class Embedding:
             raise PlanspaceError("the embedding does not contain the support of its demonstrations.")
         return self.support.outside(self.inputs(self._checked(states)))
 
+    def require_about(self) -> About:
+        """Return `about`.
+
+        Raises:
+            PlanspaceError: `fit_embedding` did not make the embedding.
+        """
+        if self.about is None:
+            raise PlanspaceError(
+                "the embedding does not say how it was trained; make it with `fit_embedding`."
+            )
+        return self.about
+
     def save(self, path: str | Path) -> None:
         """Save the embedding in a folder; `load_embedding` reads it.
 
@@ -180,18 +192,17 @@ class Embedding:
         return html_summary(*self._summary())
 
     def _summary(self) -> tuple[str, dict[str, str]]:
-        settings, metrics = self.about.get("settings", {}), self.about.get("metrics", {}).get("test", {})
-        objective = settings.get("fit", {}).get("objective", {}).get("name", "")
+        title = f"Embedding of states of {self.state_dim} numbers in z of {self.z_dim} numbers"
+        rows = {"reads": ", ".join(self.inputs.names), "inputs": self.inputs.form}
+        if self.about is None:
+            return title, rows
+        settings, metrics = self.about.settings, self.about.metrics["test"]
         shown = ("straightness", "midpoint_error", "decoded_error")
-        return f"Embedding of states of {self.state_dim} numbers in z of {self.z_dim} numbers", {
-            "reads": ", ".join(self.inputs.names),
-            "inputs": self.inputs.form,
-            "problem": self.about.get("problem") or "",
-            "objective": objective,
-            "preset": self.about.get("preset", ""),
-            "seed": f"{self.about['seed']} of {', '.join(map(str, settings.get('seeds', [])))}"
-            if "seed" in self.about
-            else "",
+        return title, rows | {
+            "problem": self.about.problem or "",
+            "objective": settings.fit.get("objective", {}).get("name", ""),
+            "preset": self.about.preset,
+            "seed": f"{self.about.seed} of {', '.join(map(str, settings.seeds))}",
             "test split": ", ".join(f"{n.replace('_', ' ')} {metrics[n]:.3f}" for n in shown if n in metrics),
         }
 

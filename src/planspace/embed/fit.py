@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from planspace.demos.dataset import Demos
+from planspace.embed.about import About, ObjectiveSummary, TrainingSettings
 from planspace.embed.card import model_card
 from planspace.embed.config import PRESETS, FitConfig, update_saved
 from planspace.embed.embedding import Embedding
@@ -139,13 +140,8 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
     config, split_seed = request.config, request.split_seed
     prepared = _prepare(demos, config, split_seed)  # refuses unusable input before anything is written
     seeds = list(request.seeds if prepared.solution is None else request.seeds[:1])
-    settings = {
-        "demos": demos.hash,
-        "seeds": seeds,
-        "split_seed": split_seed,
-        "fit": plain_settings(config),
-    }
-    open_run(out, settings, update=lambda saved: saved | {"fit": update_saved(saved.get("fit", {}))})
+    settings = TrainingSettings(demos.hash, tuple(seeds), split_seed, fit=plain_settings(config))
+    open_run(out, asdict(settings), update=lambda saved: saved | {"fit": update_saved(saved.get("fit", {}))})
     if (out / DESCRIPTION).exists():
         return load_embedding(out)
     embeddings = _train_seeds(prepared, out, config, seeds, tensorboard)
@@ -156,22 +152,24 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
         prepared.inputs(used.states[used.rows(split["validation"])]),
         np.random.default_rng(np.random.SeedSequence([split_seed, 2])),
     )
-    about = {
-        "preset": config.preset,
-        "seed": seeds[chosen],
-        "settings": settings,
-        "objective": {
-            "name": title_of(config.objective),
-            "summary": summary_of(config.objective),
-            "closed_form": prepared.solution is not None,
-        },
-        "problem": demos.info.problem,
-        "split": {name: part.tolist() for name, part in split.items()},
-        **_measurements(embeddings[chosen], used, split),
-        "metrics_of_seeds": {str(s): asdict(g) for s, g in zip(seeds, validation, strict=True)},
-        "versions": Provenance.current("mujoco", "jax").plain(),
-    }
-    embedding = replace(embeddings[chosen], support=support, about=about)
+    best = embeddings[chosen]
+    about = About(
+        preset=config.preset,
+        seed=seeds[chosen],
+        settings=settings,
+        objective=ObjectiveSummary(
+            title_of(config.objective), summary_of(config.objective), prepared.solution is not None
+        ),
+        problem=demos.info.problem,
+        split={name: tuple(part.tolist()) for name, part in split.items()},
+        metrics={name: asdict(measure(best, used, part)) for name, part in split.items()},
+        intervals={"test": bootstrap_intervals(tabulate(best, used, split["test"]))},
+        metrics_raw_state=asdict(measure_raw_state(used, split["test"], split["train"])),
+        metrics_constant=asdict(measure_constant(used, split["test"])),
+        metrics_of_seeds={s: asdict(g) for s, g in zip(seeds, validation, strict=True)},
+        versions=Provenance.current("mujoco", "jax").plain(),
+    )
+    embedding = replace(best, support=support, about=about)
     write_bytes(out / CARD, model_card(embedding).encode())
     embedding.save(out)
     return embedding
@@ -232,16 +230,6 @@ def _train_seeds(
     with tracker or nullcontext():
         log = _Log(out / LOG, to_embeddings, prepared.demos, prepared.split, config.steps, seeds, tracker)
         return to_embeddings(train(prepared.samples, config, seeds, out, log))
-
-
-def _measurements(embedding: Embedding, demos: Demos, split: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Measure the geometry on each split; on the test split also intervals and the two baselines."""
-    return {
-        "metrics": {name: asdict(measure(embedding, demos, part)) for name, part in split.items()},
-        "intervals": {"test": bootstrap_intervals(tabulate(embedding, demos, split["test"]))},
-        "metrics_raw_state": asdict(measure_raw_state(demos, split["test"], split["train"])),
-        "metrics_constant": asdict(measure_constant(demos, split["test"])),
-    }
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import scipy.stats
 from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
+from planspace.embed.about import SPLITS
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
     Geometry,
@@ -28,7 +29,6 @@ from planspace.storage.checks import MAX_BYTES, check_file
 from planspace.summary import html_summary, text_summary
 
 TRUTH_KEYS = ("states", "time", "goal")
-SPLITS = ("train", "validation", "test")
 
 
 @dataclass(frozen=True)
@@ -149,19 +149,15 @@ def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
         PlanspaceError: they are, but the splits that the embedding records are not possible.
     """
     about = embedding.about
-    if "split" not in about or about.get("settings", {}).get("demos") != demos.hash:
+    if about is None or about.settings.demos != demos.hash:
         return {"all": np.arange(len(demos))}
-    try:
-        splits = {name: np.array(about["split"][name], dtype=int).ravel() for name in SPLITS}
-    except (KeyError, TypeError, ValueError, OverflowError):
-        splits = {name: np.empty(0, dtype=int) for name in SPLITS}
-    assigned = np.sort(np.concatenate(list(splits.values())))
-    if not np.array_equal(assigned, np.arange(len(demos))) or not all(map(len, splits.values())):
+    assigned = sorted(i for part in about.split.values() for i in part)
+    if assigned != list(range(len(demos))) or not all(map(len, about.split.values())):
         raise PlanspaceError(
             f"the embedding was trained on these {len(demos)} demonstrations, but its file does not assign "
             f"each of them to one of {', '.join(SPLITS)}: the file was altered. Train the embedding again."
         )
-    return splits
+    return {name: np.array(about.split[name]) for name in SPLITS}
 
 
 def run_checks(embedding: Embedding, demos: Demos, truth: Truth | None, columns: tuple[str, ...]) -> Checks:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from planspace.embed.about import read_about
 from planspace.embed.embedding import Embedding, LinearMap
 from planspace.embed.inputs import INPUT_TYPES, Inputs
 from planspace.embed.support import Support
@@ -57,7 +58,7 @@ def save_embedding(embedding: Embedding, path: Path) -> None:
         "z_dim": embedding.z_dim,
         "sigma_floor": embedding.sigma_floor,
         "support_radius": None if support is None else support.radius,
-        "about": embedding.about,
+        "about": {} if embedding.about is None else embedding.about.plain(),
     }
     write_sealed(path / DESCRIPTION, description)
 
@@ -123,7 +124,7 @@ def _assemble(path: Path, text: dict[str, Any]) -> Embedding:
         sigma_floor=float(text["sigma_floor"]),
         linear_map=linear_map,
         support=support,
-        about=dict(text["about"]),
+        about=read_about(text["about"]),
     )
 
 
@@ -134,8 +135,7 @@ def _check_parts(embedding: Embedding, z_dim: int) -> None:
     angles = inputs.circular_columns
     if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
         raise ValueError("an angle is not a column of the state")
-    settings = embedding.about.get("settings", {})
-    if "seeds" in settings and embedding.about["seed"] not in list(settings["seeds"]):
+    if embedding.about is not None and embedding.about.seed not in embedding.about.settings.seeds:
         raise ValueError("its seed was not trained")
     if not layers or len(inputs.units) != len(inputs.names) or not (inputs.std > 0).all():
         raise ValueError("its inputs or its networks are incomplete")

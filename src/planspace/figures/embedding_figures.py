@@ -47,7 +47,9 @@ def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) 
 
 
 def _training_figure(embedding: Embedding, folder: Path) -> matplotlib.figure.Figure:
-    seeds = embedding.about.get("settings", {}).get("seeds")
-    selected = list(seeds).index(embedding.about["seed"]) if seeds else None
+    seeds = selected = None
+    if embedding.about is not None:
+        seeds = embedding.about.settings.seeds
+        selected = seeds.index(embedding.about.seed)
     with reject_malformed(folder / LOG):
         return plot_training(read_log(folder), selected, seeds)

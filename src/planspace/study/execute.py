@@ -9,7 +9,7 @@ is not done reads it; its result stays what it was.
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -180,15 +180,15 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
     embedding = fit_embedding(
         demos, config=unit.config, out=folder, num_seeds=unit.num_seeds, seed=unit.seed, split_seed=0
     )
-    about = embedding.about
+    about = embedding.require_about()
     found = FitResult(
-        seed=about["seed"],
-        metrics=_rounded(about["metrics"]["test"]),
-        raw_state=_rounded(about["metrics_raw_state"]),
+        seed=about.seed,
+        metrics=_rounded(about.metrics["test"]),
+        raw_state=_rounded(about.metrics_raw_state),
         paths=_paths(embedding, demos),
         hash=embedding.hash,
     )
-    if about["objective"]["closed_form"]:
+    if about.objective is not None and about.objective.closed_form:
         return found  # there is no training log
     rows = [row for row in read_log(folder) if "path_error" in row]
     rows = [rows[i] for i in sorted({round(x) for x in np.linspace(0, len(rows) - 1, LOG_ROWS)})]
@@ -228,7 +228,7 @@ def cpu_model() -> str:
 def _paths(embedding: Embedding, demos: Demos) -> tuple[Any, ...]:
     """Test demonstrations on three principal components of z."""
     used = demos.select(embedding.inputs.names)
-    test = embedding.about["split"]["test"][:PATHS]
+    test = embedding.require_about().split["test"][:PATHS]
     rows = [used.offsets[i] + _some(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
     z = [embedding.encode(used.states[part]) for part in rows]
     flat, _ = principal_components(np.concatenate(z), min(3, embedding.z_dim))
@@ -240,7 +240,7 @@ def _some(num: int) -> np.ndarray:
     return np.unique(np.linspace(0, num - 1, POINTS).round().astype(int))
 
 
-def _rounded(metrics: dict[str, Any]) -> dict[str, Any]:
+def _rounded(metrics: Mapping[str, Any]) -> dict[str, Any]:
     return {k: _round_all(v, 4) if isinstance(v, float) else v for k, v in metrics.items()}
 
 

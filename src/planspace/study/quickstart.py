@@ -8,14 +8,13 @@ import planspace
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import fit_embedding
-from planspace.embed.saved_embedding import DESCRIPTION
 from planspace.errors import PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import frozen_seeds
 from planspace.rl.training import train_policies
-from planspace.storage.checks import CONFIG, reject_malformed
+from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json, write_json
 from planspace.storage.runs import open_run
 from planspace.study.quickstart_report import write_report
@@ -105,8 +104,6 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSum
         ).history
         for label, folder, config in arms
     }
-    with reject_malformed(out / "embedding" / DESCRIPTION):
-        geometry = GeometrySummary.of(embedding.about)
     diverged = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]
     summary = RunSummary(
         task=task_name,
@@ -114,7 +111,7 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSum
         seed=seed,
         version=planspace.__version__,
         demos=DemosSummary.of(demos),
-        geometry=geometry,
+        geometry=GeometrySummary.of(embedding.require_about()),
         arms={label: ArmReturns.of(history) for label, history in histories.items()},
         diverged=tuple(f"{label}: {text}" for label, text in diverged if text),
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planspace.demos.dataset import Demos
+from planspace.embed.about import About
 from planspace.storage.arrays import Arrays
 from planspace.study.results import Metrics
 
@@ -66,14 +67,9 @@ class GeometrySummary:
     """The same metrics of the standardised raw state."""
 
     @classmethod
-    def of(cls, about: Mapping[str, Any]) -> "GeometrySummary":
-        """Read the metrics from an embedding's description.
-
-        Raises:
-            KeyError: the description has no metrics.
-        """
-        test, raw_state = about["metrics"]["test"], about["metrics_raw_state"]
-        return cls(about["seed"], _without_nan(test), _without_nan(raw_state))
+    def of(cls, about: About) -> "GeometrySummary":
+        """Take the metrics on the test split from an embedding's description."""
+        return cls(about.seed, _without_nan(about.metrics["test"]), _without_nan(about.metrics_raw_state))
 
 
 @dataclass(frozen=True)
