@@ -15,7 +15,7 @@ FIT = FitUnit(PLANS, PRESETS["modern"])
 POLICY = PolicyUnit("cartpole-swingup", TrainConfig(z="augment"), (FIT,))
 
 
-def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
+def test_a_unit_name_depends_on_everything_the_unit_depends_on() -> None:
     assert replace(POLICY).name == POLICY.name
     others = [
         replace(POLICY, config=replace(POLICY.config, seed=5)),
@@ -27,7 +27,7 @@ def test_a_unit_is_named_by_all_that_it_depends_on() -> None:
     assert len({unit.name for unit in (POLICY, *others)}) == 1 + len(others)
 
 
-def test_presets_and_problems_count_by_their_content() -> None:
+def test_unit_names_hash_the_content_of_presets_and_problems() -> None:
     unit = PolicyUnit("cartpole", TrainConfig(find_algorithm("ppo", "modern")))
     assert unit.spec["config"]["algorithm"]["name"] == "ppo"
     assert unit.spec["config"]["algorithm"]["on_policy"]["critic"] == "mlp"
@@ -37,7 +37,7 @@ def test_presets_and_problems_count_by_their_content() -> None:
 
 @pytest.mark.parametrize("name", STUDIES)
 @pytest.mark.parametrize("budget", BUDGETS)
-def test_studies_hold_together(name: str, budget: str) -> None:
+def test_studies_are_consistent(name: str, budget: str) -> None:
     study = make_study(name, budget)
     names = [arm.name for arm in study.arms]
     assert len(set(names)) == len(names)
@@ -56,7 +56,7 @@ def test_studies_hold_together(name: str, budget: str) -> None:
         assert len({unit.config.steps for unit in arm.units}) == 1
 
 
-def test_the_paper_has_two_systems_two_sizes_and_fifteen_seeds() -> None:
+def test_the_paper_study_has_two_systems_two_sizes_and_fifteen_seeds() -> None:
     study = make_study("paper", "paper")
     assert len(study.arms) == 2 * 4 * 5
     fits = [unit for unit in study.units if isinstance(unit, FitUnit)]
@@ -68,7 +68,7 @@ def test_the_paper_has_two_systems_two_sizes_and_fifteen_seeds() -> None:
     assert {unit.config.steps for arm in study.arms for unit in arm.units} == {8_000_000}
 
 
-def test_the_reachers_that_see_z_alone_are_run_once() -> None:
+def test_the_reachers_that_observe_only_z_are_run_once() -> None:
     study = make_study("paper", "half")
     arms = {arm.name: arm for arm in study.arms}
     for size in ("low-Z only", "high-Z only"):
@@ -78,17 +78,17 @@ def test_the_reachers_that_see_z_alone_are_run_once() -> None:
     assert len(policies) == 3 * (40 - 4)
 
 
-def test_studies_share_the_units_they_have_in_common() -> None:
+def test_studies_share_equal_units() -> None:
     paper, controls = make_study("paper", "half"), make_study("controls", "half")
     shared = {unit.name for unit in paper.units} & {unit.name for unit in controls.units}
-    assert len(shared) == 2 + 3 * 4  # both sets of demonstrations; raw on two tasks with two algorithms
+    assert len(shared) == 2 + 3 * 4  # two sets of demonstrations; raw on two tasks with two algorithms
 
 
-def test_more_seeds_keep_the_first_ones() -> None:
+def test_more_seeds_add_units_to_the_first_ones() -> None:
     few, many = make_study("paper", "half"), make_study("paper", "half", seeds=50)
     assert {unit.name for unit in few.units} < {unit.name for unit in many.units}
     assert all(sum(unit.config.num_seeds for unit in arm.units) == 50 for arm in many.arms)
-    with pytest.raises(UsageError, match="in blocks of 5"):
+    with pytest.raises(UsageError, match="must be a positive multiple of 5, got 12"):
         make_study("paper", "half", seeds=12)
 
 
@@ -102,17 +102,18 @@ def test_the_recipe_has_fifteen_policies_for_each_of_five_embeddings() -> None:
     assert not {*used, *range(100, 106)} & set(seeds) and min(fit.seed for fit in arm.units[0].fits) == 10
 
 
-def test_some_arms_alone_keep_the_claims_about_them() -> None:
+def test_only_keeps_the_claims_about_the_selected_arms() -> None:
     study = make_study("paper", "half").only(["swingup, TRPO/raw", "swingup, TRPO/low-Z augment"])
     assert len(study.arms) == 2
-    assert len(study.claims) == 4  # better, faster, as good at best, less varied
+    assert len(study.claims) == 4  # mean, speed, best case, spread
     with pytest.raises(
-        UsageError, match=r"study paper has no arm like nothing\. Its arms: cartpole, TRPO/raw;"
+        UsageError,
+        match=r"no arm of study paper has 'nothing' in its name\. Its arms: cartpole, TRPO/raw;",
     ):
         make_study("paper", "half").only(["nothing"])
 
 
-def test_unknown_names_are_refused_with_those_there_are() -> None:
+def test_unknown_names_are_rejected_with_a_suggestion() -> None:
     with pytest.raises(UsageError, match="unknown study 'controle'. Did you mean 'controls'?"):
         make_study("controle", "half")
     with pytest.raises(UsageError, match="unknown budget 'ful'. Did you mean 'full'?"):

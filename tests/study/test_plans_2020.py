@@ -16,10 +16,10 @@ GOAL = np.zeros(4)
     ("theta", "expected"),
     [(1.0, 1.0), (np.pi, np.pi), (2 * np.pi - 1, 1.0), (2 * np.pi, 0.0), (2 * np.pi + 3, -3.0), (-9.0, None)],
 )
-def test_beyond_a_turn_the_distance_of_2020_is_negative(theta: float, expected: float | None) -> None:
+def test_the_distance_of_2020_is_negative_beyond_a_rotation(theta: float, expected: float | None) -> None:
     expected = 2 * np.pi - 9.0 if expected is None else expected
     assert distance_of_2020(np.array([0.0, theta, 0.0, 0.0]), GOAL) == pytest.approx(expected)
-    # the others count as they are: 0.5 + 2 + 1
+    # the other differences add up: 0.5 + 2 + 1
     moving = np.array([0.5, theta, -2.0, 1.0])
     assert distance_of_2020(moving, GOAL) == pytest.approx(expected + 3.5)
 
@@ -36,7 +36,7 @@ def test_plans_with_winding_reach_the_goal_only_by_the_distance_of_2020(tmp_path
         assert distance_of_2020(episode.states[-1], GOAL) <= problem.tolerance
         assert (np.abs(episode.states[:-1, 1]) < np.abs(episode.states[-1, 1]) + 1.0).all()
         assert abs(episode.states[-1, 1]) > 2 * np.pi
-        assert space.distance(episode.states[-1:], episode.goal[None])[0] > 1.0  # the goal it never saw
+        assert space.distance(episode.states[-1:], episode.goal[None])[0] > 1.0  # far from the goal
         assert 20 < len(episode.controls) <= MAX_STEPS + 10
         again = replay(model, space, episode.states[0], episode.controls, episode.times)
         np.testing.assert_allclose(again, episode.states, atol=1e-9)

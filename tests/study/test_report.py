@@ -52,7 +52,7 @@ STUDY = Study(
 )
 
 
-def pretended(unit: Unit, rng: np.random.Generator) -> dict[str, Any]:
+def fake_result(unit: Unit, rng: np.random.Generator) -> dict[str, Any]:
     if isinstance(unit, PlansUnit):
         return {"hash": "", "count": 20, "median_duration_s": 0.8, "reached": 1.0}
     if isinstance(unit, FitUnit):
@@ -83,18 +83,18 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (out / "units").mkdir()
     for unit in STUDY.units:
         head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
-        found = {"found": pretended(unit, rng), "seconds": 1.0, "cores": 1, "resumed": False}
+        found = {"found": fake_result(unit, rng), "seconds": 1.0, "cores": 1, "resumed": False}
         write_sealed(result_file(unit, out), {**head, **found})
     return write_report(read_findings(STUDY, out), out)[1]
 
 
 def own_text(page: Path) -> str:
-    """The page without Plotly's code, which names many places."""
+    """The page without Plotly's code, which contains many URLs."""
     html = page.read_text()
     return html[: html.index("<script>")] + html[html.index("</script>") :]
 
 
-def test_names_stay_text_and_nothing_is_loaded(page: Path) -> None:
+def test_names_are_escaped_and_nothing_is_loaded(page: Path) -> None:
     own = own_text(page)
     assert own.count("&lt;script&gt;alert(&#39;evil&#39;)") >= 5
     assert EVIL not in own
@@ -102,7 +102,7 @@ def test_names_stay_text_and_nothing_is_loaded(page: Path) -> None:
     assert "http" not in own.replace("http-equiv", "")
 
 
-def test_every_figure_and_table_is_there_as_a_file(page: Path) -> None:
+def test_every_figure_and_table_is_also_a_file(page: Path) -> None:
     tables = json.loads((page.parent / "tables.json").read_text())
     assert [claim["verdict"] for claim in tables["claims"]] == ["holds", "holds", "not run yet"]
     (panel,) = tables["panels"].values()
@@ -131,26 +131,26 @@ def chromium() -> str:
 
 PROBE = """<script>
 window.addEventListener("load", () => setTimeout(() => {
-  const said = [];
+  const log = [];
   const table = document.querySelectorAll("table.sortable")[1];
   const first = () => table.tBodies[0].rows[0].cells[0].textContent.trim();
-  table.tHead.rows[0].cells[1].click(); said.push("ascending " + first());
-  table.tHead.rows[0].cells[1].click(); said.push("descending " + first());
+  table.tHead.rows[0].cells[1].click(); log.push("ascending " + first());
+  table.tHead.rows[0].cells[1].click(); log.push("descending " + first());
   document.querySelectorAll("details").forEach(d => d.open = true);
   document.querySelector(".film button").click();
-  said.push("plays " + document.querySelector(".film button").textContent);
-  said.push("plots " + document.querySelectorAll(".js-plotly-plot .main-svg").length);
-  said.push("wide " + (document.body.scrollWidth <= WIDTH));
-  const asked = performance.getEntriesByType("resource").filter(e => !e.name.startsWith("data:"));
-  said.push("asked " + asked.length);
-  document.title = "probe: " + said.join("; ");
+  log.push("plays " + document.querySelector(".film button").textContent);
+  log.push("plots " + document.querySelectorAll(".js-plotly-plot .main-svg").length);
+  log.push("wide " + (document.body.scrollWidth <= WIDTH));
+  const requests = performance.getEntriesByType("resource").filter(e => !e.name.startsWith("data:"));
+  log.push("requests " + requests.length);
+  document.title = "probe: " + log.join("; ");
 }, 500));
 </script>"""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1300])
-def test_it_works_in_a_browser(page: Path, chromium: str, tmp_path: Path, width: int) -> None:
+def test_the_report_works_in_a_browser(page: Path, chromium: str, tmp_path: Path, width: int) -> None:
     probed = tmp_path / "probed.html"
     narrow = f"<style>html {{ width: {width}px; }}</style></head>"  # a window is at least 500 wide
     html = page.read_text().replace("</head>", narrow, 1)
@@ -166,11 +166,11 @@ def test_it_works_in_a_browser(page: Path, chromium: str, tmp_path: Path, width:
     )
     title = re.search(r"<title>(.*?)</title>", found.stdout, re.DOTALL)
     assert title is not None, found.stderr[-2000:]
-    said = title.group(1)
-    assert "probe: ascending" in said
-    assert "descending z" in said  # the arm with z has the highest mean
-    assert "plays stop" in said and "wide true" in said and "asked 0" in said
-    assert "plots 0" not in said
+    title_text = title.group(1)
+    assert "probe: ascending" in title_text
+    assert "descending z" in title_text  # the arm with z has the highest mean
+    assert "plays stop" in title_text and "wide true" in title_text and "requests 0" in title_text
+    assert "plots 0" not in title_text
     console = [line for line in found.stderr.splitlines() if ":CONSOLE:" in line or ":CONSOLE(" in line]
     wrong = [line for line in console if "ERROR" in line or "Uncaught" in line or "Refused" in line]
     assert wrong == []

@@ -40,7 +40,7 @@ def copied(finished: Path, tmp_path: Path) -> Path:
     return shutil.copytree(finished, tmp_path / "out")
 
 
-def test_every_unit_leaves_its_result(finished: Path) -> None:
+def test_every_unit_writes_its_result(finished: Path) -> None:
     found = what_was_found(TINY, finished)
     assert found[PLANS.name].count == 12 and found[PLANS.name].reached == 1.0
     fit = found[FIT.name]
@@ -55,11 +55,11 @@ def test_every_unit_leaves_its_result(finished: Path) -> None:
     assert kinds == {"plans", "fit", "policies"}
 
 
-def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> None:
-    shutil.rmtree(copied / "work")  # results alone were brought here
+def test_finished_units_are_not_run_again_even_without_their_folders(copied: Path) -> None:
+    shutil.rmtree(copied / "work")  # as if only the results were copied to this machine
     assert units_to_run(TINY, copied) == []
     more = replace(TINY, arms=(replace(WITH_Z, units=(*WITH_Z.units, policy(2, z=True))),))
-    # a new unit needs the embedding, and that its demonstrations; the results of both are there all the same
+    # the new unit needs the folders of the embedding and of its demonstrations; both have results
     assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
     before = {unit.name: read_result(unit, copied).found for unit in (PLANS, FIT)}
     assert run_study(more, copied, workers=1) == {}
@@ -67,10 +67,10 @@ def test_what_is_done_is_not_run_again_even_on_another_machine(copied: Path) -> 
     assert is_done(policy(2, z=True), copied)
 
 
-def test_a_folder_that_was_begun_again_is_not_taken_for_whole(copied: Path) -> None:
+def test_an_unfinished_folder_is_completed(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
-    half = replace(PLANS, num=10)  # of the twelve, as a kill leaves them
+    half = replace(PLANS, num=10)  # of twelve, as after a kill
     plan_into(load_problem(PLANS.problem), folder_of(PLANS, copied), num=half.num, seed=0, config=PLANNER)
     assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
     run_study(more, copied, workers=1)
@@ -82,23 +82,27 @@ def test_a_folder_that_was_begun_again_is_not_taken_for_whole(copied: Path) -> N
 
 def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path: Path) -> None:
     alone = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
-    run_study(alone, tmp_path / "out", workers=1)  # on all the cores there are; before, on one of them
+    run_study(
+        alone, tmp_path / "out", workers=1
+    )  # this worker uses all cores; in `finished`, a worker uses one
     expected = read_result(policy(0), finished).found
     assert read_result(policy(0), tmp_path / "out").found == expected
 
 
-@pytest.mark.skipif("OPENBLAS_CORETYPE" not in WORKER_ENVIRONMENT, reason="a CPU of other kernels")
+@pytest.mark.skipif("OPENBLAS_CORETYPE" not in WORKER_ENVIRONMENT, reason="this CPU has no such kernels")
 def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")  # which any CPU has, and which sums in another order
+    monkeypatch.setenv(
+        "OPENBLAS_CORETYPE", "Prescott"
+    )  # kernels that every x86-64 CPU has, with another order of summation
     open_results(tmp_path)
     (tmp_path / "work").mkdir()
     run_alone(PLANS, tmp_path)
     assert read_result(PLANS, tmp_path).found == read_result(PLANS, finished).found
 
 
-def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:
+def test_added_seeds_are_merged_with_the_first_ones(copied: Path) -> None:
     more = replace(TINY, arms=(replace(RAW, units=(*RAW.units, policy(2))),))
     assert units_to_run(more, copied) == [policy(2)]
     run_study(more, copied, workers=1)
@@ -106,7 +110,7 @@ def test_seeds_that_are_added_merge_with_the_first(copied: Path) -> None:
     assert scores.seeds == (0, 1, 2)
 
 
-def test_a_unit_that_fails_is_tried_twice_and_listed_and_the_rest_goes_on(
+def test_a_failing_unit_is_tried_twice_and_reported_and_the_others_run(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     few = replace(PLANS, num=2)  # too few to split
@@ -115,7 +119,7 @@ def test_a_unit_that_fails_is_tried_twice_and_listed_and_the_rest_goes_on(
     study = replace(TINY, arms=(broken, replace(RAW, units=(policy(3),))))
     failed = run_study(study, copied, workers=1)
     assert set(failed) == {bad.name, broken.units[0].name}
-    assert failed[broken.units[0].name] == "what it needs has failed"
+    assert failed[broken.units[0].name] == "a unit that it needs failed"
     lines = list(failures(failed, study))
     assert any("balance/broken" in line for line in lines)
     assert is_done(policy(3), copied) and is_done(few, copied)
@@ -125,7 +129,7 @@ def test_a_unit_that_fails_is_tried_twice_and_listed_and_the_rest_goes_on(
 
 
 class DeadlyPool(LocalPool):
-    """Kills the first workers that are started."""
+    """A pool that kills its first workers."""
 
     def __init__(self, out: Path, size: int, kills: int):
         super().__init__(out, size)
@@ -152,12 +156,12 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
     assert pools[0].started == [policy(0), policy(0)]
 
 
-def test_a_killed_worker_is_named_so_when_it_is_given_up(tmp_path: Path) -> None:
+def test_a_worker_killed_in_every_attempt_is_reported(tmp_path: Path) -> None:
     failed = run_study(ONE, tmp_path / "out", 1, lambda out, size: DeadlyPool(out, size, kills=2))
     assert failed == {policy(0).name: "its process was killed by SIGKILL"}
 
 
-def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
+def test_two_commands_cannot_use_one_folder(copied: Path) -> None:
     from planspace.storage.runs import lock_folder
 
     with lock_folder(copied), pytest.raises(PlanspaceError, match="another command is running in"):
@@ -168,7 +172,7 @@ def test_two_commands_do_not_work_in_one_folder(copied: Path) -> None:
     assert not left_behind.exists()
 
 
-def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:
+def test_a_folder_made_again_must_match_its_result(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     file = result_file(PLANS, copied)
     result = read_sealed(file)
@@ -176,12 +180,12 @@ def test_a_folder_made_again_must_be_what_it_was(copied: Path) -> None:
     write_sealed(file, result)
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
     failed = run_study(more, copied, workers=1)
-    assert "was made again and differs from the first time" in failed[PLANS.name]
+    assert "was run again and gave a different result" in failed[PLANS.name]
     assert not is_done(policy(2, z=True), copied)
     assert read_result(PLANS, copied).found.hash == "of another machine"
 
 
-def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
+def test_a_folder_of_other_versions_is_rejected(copied: Path) -> None:
     config = json.loads((copied / "config.json").read_text())
     config["versions"]["planspace"] = "0.0.1"
     (copied / "config.json").write_text(json.dumps(config))
@@ -189,14 +193,14 @@ def test_a_folder_of_other_versions_is_refused(copied: Path) -> None:
         open_results(copied)
 
 
-def test_a_damaged_result_is_refused_by_name(copied: Path) -> None:
+def test_a_damaged_result_is_reported_by_file_name(copied: Path) -> None:
     file = copied / "units" / f"{policy(0).name}.json"
     file.write_text(file.read_text().replace('"seeds": [0]', '"seeds": [7]'))
     with pytest.raises(PlanspaceError, match=f"{file.name} was altered or damaged: it does not"):
         read_findings(TINY, copied)
 
 
-def test_tables_are_made_of_results_alone(copied: Path) -> None:
+def test_tables_need_only_the_results(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     summary = summarise(read_findings(TINY, copied))
     assert (summary.units_done, summary.units_all) == (6, 6)
@@ -210,11 +214,11 @@ def test_tables_are_made_of_results_alone(copied: Path) -> None:
     assert "6 of 6 units" in as_text(summary) and "z helps" in as_text(summary)
 
 
-def test_no_more_workers_than_cores(tmp_path: Path) -> None:
+def test_a_pool_has_at_most_one_worker_per_core(tmp_path: Path) -> None:
     assert LocalPool(tmp_path, 10_000).size == count_cores()
 
 
-def test_an_unfinished_study_says_what_is_missing(copied: Path) -> None:
+def test_the_report_of_an_unfinished_study(copied: Path) -> None:
     for unit in WITH_Z.units:
         (copied / "units" / f"{unit.name}.json").unlink()
     summary, page = write_report(read_findings(TINY, copied), copied)
@@ -236,7 +240,7 @@ from planspace.study.run import run_study
 from tests.tiny_study import TINY
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # background processes ignore it by default
     run_study(TINY, Path({out!r}), workers=2)
 """
 
@@ -247,20 +251,23 @@ def command(tmp_path: Path, out: Path) -> list[str]:
     return [sys.executable, str(script)]
 
 
-def files(out: Path) -> dict[Path, int]:
-    """What is written in it, and when it last was."""
+def modification_times(out: Path) -> dict[Path, int]:
+    """Modification time of every file in a folder."""
     found = {}
     for path in out.rglob("*"):
-        with contextlib.suppress(FileNotFoundError):  # renamed meanwhile
+        with contextlib.suppress(FileNotFoundError):  # renamed in the meantime
             found[path] = path.stat().st_mtime_ns
     return found
 
 
-def test_killed_again_and_again_it_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
+def test_a_study_that_is_killed_repeatedly_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
     out, rng = tmp_path / "out", random.Random(0)
     for _ in range(KILLS):
-        process, before = subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL), files(out)
-        while process.poll() is None and files(out) == before:  # until it is at work
+        process, before = (
+            subprocess.Popen(command(tmp_path, out), stderr=subprocess.DEVNULL),
+            modification_times(out),
+        )
+        while process.poll() is None and modification_times(out) == before:  # until it writes
             time.sleep(0.05)
         time.sleep(rng.uniform(0.0, 2.0))
         process.send_signal(signal.SIGKILL)
@@ -280,8 +287,8 @@ def test_an_interrupt_stops_the_workers_too(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     process.wait(60)
     assert process.returncode != 0
-    deadline = time.monotonic() + 10  # the one that watches over shared memory takes a moment
+    deadline = time.monotonic() + 10  # the tracker of shared memory needs a moment to exit
     while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
-    open_results(out)  # what it leaves is whole
+    open_results(out)  # the folder is intact

@@ -12,15 +12,14 @@ from planspace.study.unit import PolicyUnit
 
 
 def scores(final: list[float], *, first: int = 0, num_embeddings: int = 0) -> Scores:
-    """Four rows of 100,000 steps, all of them what a seed reached."""
+    """Scores with four rows of 100,000 steps; all rows have the final return."""
     steps = 100_000 * np.arange(1, 5)
     return Scores(tuple(range(first, first + len(final))), steps, np.tile(final, (4, 1)), num_embeddings)
 
 
-def test_what_a_seed_reached_is_its_mean_over_the_last_steps() -> None:
-    steps = 20_000 * np.arange(
-        1, 51
-    )  # 1 M in rows of five iterations: the last 200,000 steps are ten of them
+def test_the_final_return_is_the_mean_over_the_last_steps() -> None:
+    # 1 M steps in rows of five iterations: the last 200,000 steps are ten rows
+    steps = 20_000 * np.arange(1, 51)
     returns = np.arange(50.0)[:, None]
     long = Scores((0,), steps, returns, 0)
     assert stats.final(long) == pytest.approx(44.5)  # mean of 40 .. 49
@@ -33,17 +32,17 @@ def test_what_a_seed_reached_is_its_mean_over_the_last_steps() -> None:
     assert stats.whole(uneven) == pytest.approx(2.0)  # 20,000 steps of 1 and 4,000 of 7
 
 
-def test_steps_to_a_level_look_at_the_mean_of_two_rows() -> None:
+def test_steps_to_a_level_use_the_mean_of_two_rows() -> None:
     steps = np.array([10, 20, 30, 40])
     returns = np.array([[0.0, 9.0], [8.0, 0.0], [4.0, 0.0], [9.0, 0.0]])
     found = stats.steps_to(Scores((0, 1), steps, returns, 0), 5.0)
-    assert found[0] == 30  # (8 + 4) / 2 = 6; the peak of 8 before it has a mean of 4
+    assert found[0] == 30  # (8 + 4) / 2 = 6; the mean at the earlier peak is (0 + 8) / 2 = 4
     assert np.isinf(found[1])
 
 
-def test_interquartile_mean_is_that_of_the_middle_half() -> None:
+def test_interquartile_mean_is_the_mean_of_the_middle_half() -> None:
     x = np.array([-1000.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0])
-    assert stats.iqm(x) == 3.5  # of 2, 3, 4, 5
+    assert stats.iqm(x) == 3.5  # mean of 2, 3, 4, 5
     assert stats.iqm(np.stack([x, x + 1])).tolist() == [3.5, 4.5]
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -51,10 +50,10 @@ def test_interquartile_mean_is_that_of_the_middle_half() -> None:
         assert stats.iqm(y) == scipy.stats.trim_mean(y, 0.25)
 
 
-def test_over_tasks_seeds_are_drawn_within_each_task() -> None:
-    apart = [np.full(15, 0.0), np.full(15, 1.0)]
-    number, (low, high) = stats.iqm_over_tasks(apart)
-    assert number == low == high == 0.5  # drawn across tasks, it would vary
+def test_the_bootstrap_over_tasks_draws_seeds_within_each_task() -> None:
+    tasks = [np.full(15, 0.0), np.full(15, 1.0)]
+    number, (low, high) = stats.iqm_over_tasks(tasks)
+    assert number == low == high == 0.5  # if drawn across tasks, it would vary
     _, (low, high) = stats.iqm_over_tasks([np.arange(15.0), np.arange(15.0) + 1])
     assert low < 7.5 < high
 
@@ -70,8 +69,8 @@ def test_probability_of_improvement_counts_pairs() -> None:
 
 
 def test_variance_components_of_a_hand_worked_table() -> None:
-    # embeddings 0 and 1 in turn; policies of 0: 1, 3; of 1: 7, 9. Within: 2. Means 2 and 8: 18;
-    # less 2 / 2: 17
+    # embedding 0 has the policies 1, 3; embedding 1 has 7, 9. Variance within: 2. Variance of the means
+    # 2 and 8: 18; minus 2 / 2: 17
     table = scores([1.0, 7.0, 3.0, 9.0], num_embeddings=2)
     found = stats.variance_components(table, stats.final(table))
     assert found == pytest.approx((np.sqrt(17.0), np.sqrt(2.0)))
@@ -80,12 +79,12 @@ def test_variance_components_of_a_hand_worked_table() -> None:
 
 
 def test_a_profile_falls_from_one_to_zero() -> None:
-    shares = stats.profile(np.array([1.0, 2.0, 2.0, 4.0]), np.array([0.0, 1.0, 3.0, 4.0]))
-    assert shares.tolist() == [1.0, 0.75, 0.25, 0.0]
+    fractions = stats.profile(np.array([1.0, 2.0, 2.0, 4.0]), np.array([0.0, 1.0, 3.0, 4.0]))
+    assert fractions.tolist() == [1.0, 0.75, 0.25, 0.0]
 
 
 @pytest.mark.parametrize("num_embeddings", [0, 5])
-def test_intervals_cover_the_truth_about_as_often_as_they_say(num_embeddings: int) -> None:
+def test_intervals_have_about_the_nominal_coverage(num_embeddings: int) -> None:
     rng, hits, trials = np.random.default_rng(0), 0, 400
     for _ in range(trials):
         shift = rng.normal(size=max(num_embeddings, 1))
@@ -93,7 +92,7 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say(num_embeddings: in
         low, high = stats.interval(scores(x.tolist(), num_embeddings=num_embeddings), stats.mean, x)
         hits += low < 0 < high
     assert 0.92 < hits / trials < 0.99
-    # seeds taken as independent would say too much:
+    # treating seeds as independent gives intervals that are too narrow
     if num_embeddings:
         naive = 0
         for _ in range(trials):
@@ -122,7 +121,7 @@ RISE = [float(x) for x in range(15)]
 def test_verdicts_follow_the_interval_of_paired_differences(
     expects: str, margin: float, shift: float, verdict: str
 ) -> None:
-    # seeds differ by up to 14, the arms by the shift alone: only paired seeds can see it
+    # seeds differ by up to 14, arms only by the shift: only a paired comparison detects it
     noise = np.linspace(-0.1, 0.1, 15)  # of mean 0
     arm, other = scores([x + shift + n for x, n in zip(RISE, noise, strict=True)]), scores(RISE)
     claim = Claim("", "", "final", "a", "b", expects, margin)
@@ -138,13 +137,13 @@ def test_a_claim_about_one_arm_is_judged_by_its_margin() -> None:
 
 
 @pytest.mark.parametrize(("expects", "sign"), [("more", 1.0), ("less", -1.0)])
-def test_a_margin_asks_for_a_difference_that_matters(expects: str, sign: float) -> None:
+def test_a_claim_with_a_margin_needs_a_difference_above_it(expects: str, sign: float) -> None:
     claim = Claim("", "", "final", "a", "b", expects, 5.0)
     assert judge(claim, scores([6.0 * sign] * 10), scores([0.0] * 10)).verdict == HOLDS
     assert judge(claim, scores([4.0 * sign] * 10), scores([0.0] * 10)).verdict == FAILS
 
 
-def test_of_two_numbers_of_embeddings_the_smaller_counts() -> None:
+def test_the_smaller_number_of_embeddings_is_used() -> None:
     rng, hits, trials = np.random.default_rng(0), 0, 300
     claim = Claim("", "", "final", "a", "b")
     for _ in range(trials):
@@ -156,7 +155,7 @@ def test_of_two_numbers_of_embeddings_the_smaller_counts() -> None:
     assert hits / trials > 0.93
 
 
-def test_spread_is_claimed_to_be_less_and_counted_upwards() -> None:
+def test_a_smaller_spread_gives_a_larger_number() -> None:
     wide, narrow = scores(RISE), scores([x / 4 for x in RISE])
     claim = Claim("", "", "spread", "a", "b")
     found = judge(claim, narrow, wide)
@@ -166,7 +165,7 @@ def test_spread_is_claimed_to_be_less_and_counted_upwards() -> None:
     assert low <= ratio <= high and ratio == pytest.approx(np.log(4.0))
 
 
-def test_few_seeds_or_none_in_common_decide_nothing() -> None:
+def test_few_shared_seeds_leave_a_claim_open() -> None:
     claim = Claim("", "", "final", "a", "b")
     assert judge(claim, scores([9.0] * 4), scores([0.0] * 4)).verdict == OPEN
     assert judge(claim, scores([9.0] * 9), scores([0.0] * 9, first=9)).verdict == OPEN
@@ -174,11 +173,11 @@ def test_few_seeds_or_none_in_common_decide_nothing() -> None:
     assert partly.verdict == HOLDS and partly.seeds == 6
 
 
-def test_the_best_two_seeds_are_the_best_case() -> None:
+def test_the_best_case_is_the_mean_of_the_two_best_seeds() -> None:
     assert stats.best(np.array([1.0, 9.0, 5.0, 7.0])) == 8.0
 
 
-def test_blocks_merge_in_the_order_of_their_seeds() -> None:
+def test_blocks_are_merged_in_the_order_of_their_seeds() -> None:
     arm = Arm("panel", "arm", (PolicyUnit("cartpole", TrainConfig()),))
 
     def block(seeds: list[int], steps: tuple[int, ...] = (4000,)) -> PoliciesResult:

@@ -12,7 +12,7 @@ from planspace.study.unit import PolicyUnit
 from ..tiny_study import BASE, RAW, TINY, WITH_Z, policy
 
 
-def test_claims_wait_for_all_seeds() -> None:
+def test_a_claim_is_not_finished_until_all_seeds_are_run() -> None:
     seeds = tuple(policy(seed) for seed in range(6))
     study = replace(TINY, arms=(replace(RAW, units=seeds), WITH_Z), claims=())
     claim = Claim("near 100", "ours", "final", RAW.name, "", margin=1.0)
@@ -21,14 +21,16 @@ def test_claims_wait_for_all_seeds() -> None:
     assert found.verdict == "not finished" and found.number == 99.0
 
 
-def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
+def test_returns_over_tasks_are_normalised_by_levels() -> None:
     arms = [
         Arm(f"{task}, TRPO", label, (PolicyUnit(unit_task, BASE),))
         for task, unit_task in (("cartpole", "cartpole"), ("reacher-trig", "reacher-raw"))  # a shared unit
         for label in ("raw", "z only")
     ]
     study = replace(TINY, arms=tuple(arms), claims=())
-    reached = {arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms}  # half way, each
+    reached = {
+        arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms
+    }  # halfway, for both tasks
     steps = np.array([400_000])
     scores = {name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0) for name, values in reached.items()}
     rows = summarise(Findings(study, {}, scores, {})).over_tasks
@@ -38,7 +40,7 @@ def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
     ]
     assert all(row.iqm == 0.5 and row.iqm_interval == (0.5, 0.5) for row in rows)
     alone = replace(study, arms=(arms[0], arms[2]))
-    assert summarise(Findings(alone, {}, scores, {})).over_tasks == []  # one arm is compared with nothing
+    assert summarise(Findings(alone, {}, scores, {})).over_tasks == []  # a single arm cannot be compared
 
 
 @pytest.mark.parametrize(
@@ -53,13 +55,13 @@ def test_arms_of_several_tasks_are_put_together_by_levels() -> None:
         (Claim("", "", "final", "a/x", "b/x"), "final: x (a) − x (b) > 0"),
     ],
 )
-def test_what_makes_a_claim_hold_is_said(claim: Claim, rule: str) -> None:
+def test_the_rule_of_a_claim_is_written_out(claim: Claim, rule: str) -> None:
     arms = tuple(Arm(panel, label, (policy(0),)) for panel in "ab" for label in "xy")
     found = summarise(Findings(replace(TINY, arms=arms, claims=(claim,)), {}, {}, {})).claims[0]
     assert found.rule == rule
 
 
-def test_a_spread_is_judged_by_its_logarithm_and_read_as_a_ratio() -> None:
+def test_a_spread_is_judged_by_its_logarithm_and_shown_as_a_ratio() -> None:
     arms, steps = tuple(Arm("a", label, (policy(0),)) for label in "xy"), np.array([8000])
     study = replace(TINY, arms=arms, claims=(Claim("", "", "spread", "a/x", "a/y"),))
     x, seeds = np.arange(20.0)[None], tuple(range(20))

@@ -73,6 +73,6 @@ class Study:
 
         if not self.ray:
             return run_study(study, self.out, self.workers)
-        from planspace.study.cluster import MOST, ray_pool
+        from planspace.study.cluster import NO_LIMIT, ray_pool
 
-        return run_study(study, self.out, self.workers or MOST, ray_pool(self.ray))
+        return run_study(study, self.out, self.workers or NO_LIMIT, ray_pool(self.ray))

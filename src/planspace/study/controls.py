@@ -1,4 +1,4 @@
-"""The study `controls`: why does an embedding help? An arm for each other explanation."""
+"""The study `controls`: why does an embedding help? Each arm tests another explanation."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,7 +25,7 @@ OBJECTIVES: dict[str, str] = {
 NORMALISED, WIDE, LAYER_NORM = "raw, normalised", "raw, wider network", "raw, layer norm"
 TO_POLICY, TO_CRITIC = "raw + z to the policy", "raw + z to the critic"
 NUM_OF: dict[str, int] = {"random": 3, "pca": 1}
-"""Number of embedding seeds of an objective, if it is not that of the budget."""
+"""Number of embedding seeds per objective, if it differs from the budget's."""
 
 
 def controls(budget: str, grid: Builder) -> Study:

@@ -1,4 +1,4 @@
-"""The study `demos`: which demonstrations help? It varies their source, their number and the inputs."""
+"""The study `demos`: which demonstrations help? It varies their source and number, and the inputs."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,28 +12,29 @@ from planspace.study.unit import PlansUnit
 WINDING, SST, POLISHED = "with winding", "SST", "SST + polish"
 COUNTS = (20, 100, 500)
 INPUTS: dict[str, InputType] = {"raw inputs": "raw", "sin/cos inputs": "trig"}
-EACH = 5
-"""Policies per embedding."""
+POLICIES_PER_EMBEDDING = 5
 
 
 def demos(budget: str, grid: Builder) -> Study:
     """Train five embeddings on each set of demonstrations, and five policies on each embedding."""
     panels: dict[str, InputType] = {
-        f"{panel_of(SWING_UP, 'trpo')}, {inputs}": form for inputs, form in INPUTS.items()
+        f"{panel_of(SWING_UP, 'trpo')}, {label}": inputs for label, inputs in INPUTS.items()
     }
     return Study(
         "demos",
         budget,
         "Which demonstrations help?",
-        tuple(arm for panel, form in panels.items() for arm in _arms(panel, form, grid)),
+        tuple(arm for panel, inputs in panels.items() for arm in _arms(panel, inputs, grid)),
         tuple(claim for panel in panels for claim in _claims(panel)),
         ("Policies observe raw + z. Seed s uses embedding s modulo five: five policies per embedding.",),
     )
 
 
-def _arms(panel: str, form: InputType, grid: Builder) -> Iterator[Arm]:
-    base, config = TrainConfig(), replace(PRESETS["modern"], inputs=form)
-    seeds = EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
+def _arms(panel: str, inputs: InputType, grid: Builder) -> Iterator[Arm]:
+    base, config = TrainConfig(), replace(PRESETS["modern"], inputs=inputs)
+    seeds = (
+        POLICIES_PER_EMBEDDING * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
+    )
     yield grid.arm(panel, RAW, SWING_UP, base, seeds=seeds)
     for source in (WINDING, SST, POLISHED):
         for count in COUNTS:

@@ -75,21 +75,23 @@ def solved_level(arm: Arm) -> float | None:
 class Claim:
     """A claim, and the number that decides it.
 
-    The number is a measure of an arm, less that of another if there is one, over the seeds; of a spread, the
-    logarithm of other over arm. Its 95 % interval decides: `more` holds if it lies above `margin` and fails
-    if it lies below, `less` holds if it lies below -`margin` and fails if it lies above, `same` holds if it
-    lies within +- `margin` and fails if it lies outside.
+    The number is the measure of `arm`, minus the measure of `other` if there is one. For a spread it is the
+    logarithm of the ratio other over arm. The number's 95 % interval decides. `more` holds if the interval
+    lies above `margin` and fails if it lies below. `less` holds if the interval lies below -`margin` and
+    fails if it lies above. `same` holds if the interval lies within +- `margin` and fails if it lies outside.
     """
 
     text: str
     source: str
     """Source of the claim."""
     measure: Measure
-    """`final`: mean return over the last 50 iterations; `early` and `whole`: over the first quarter of the
-    training, and all of it; `best`: of the two best seeds at the end; `spread`: deviation over seeds of
-    `final`, `early_spread` of `early`."""
+    """`final`, `early` and `whole`: mean return over the last 50 iterations, the first quarter and the whole
+    training. `best`: mean `final` of the two best seeds. `spread` and `early_spread`: standard deviation over
+    seeds of `final` and `early`."""
     arm: str
+    """Name of the arm that the claim is about."""
     other: str
+    """Name of the arm that it is compared with; empty for a claim about one arm."""
     expects: Expectation = "more"
     margin: float = 0.0
     late: bool = False
@@ -98,7 +100,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Study:
-    """What is run, and what it decides."""
+    """A study: its arms and claims."""
 
     name: str
     budget: str
@@ -106,7 +108,7 @@ class Study:
     arms: tuple[Arm, ...]
     claims: tuple[Claim, ...] = ()
     notes: tuple[str, ...] = ()
-    """Notes for the readers of its figures."""
+    """Notes for readers of the report."""
     parts: tuple[str, ...] = ()
     """The arguments of `only`."""
 
@@ -122,16 +124,17 @@ class Study:
         return tuple({unit.name: unit for arm in self.arms for unit in _closure(arm.units)}.values())
 
     def only(self, parts: Iterable[str]) -> "Study":
-        """The arms whose names contain one of these texts.
+        """The study with only the arms whose names contain one of these texts, and the claims about them.
 
         Raises:
-            UsageError: no arm does.
+            UsageError: no arm's name contains any of the texts.
         """
         parts = tuple(parts)
         kept = tuple(arm for arm in self.arms if not parts or any(part in arm.name for part in parts))
         if not kept:
             names = "; ".join(arm.name for arm in self.arms)
-            raise UsageError(f"study {self.name} has no arm like {' or '.join(parts)}. Its arms: {names}.")
+            texts = " or ".join(repr(part) for part in parts)
+            raise UsageError(f"no arm of study {self.name} has {texts} in its name. Its arms: {names}.")
         names = {arm.name for arm in kept}
         claims = tuple(c for c in self.claims if c.arm in names and (not c.other or c.other in names))
         return replace(self, arms=kept, claims=claims, parts=parts)
@@ -156,15 +159,15 @@ class Builder:
         fits: Iterable[FitUnit] = (),
         seeds: int = 0,
     ) -> Arm:
-        """An arm, in blocks of seeds.
+        """Make an arm, with one unit per block of seeds.
 
         Args:
-            panel: the figure it is in.
-            label: its name there.
+            panel: the figure that shows the arm.
+            label: the arm's name in the figure.
             task: a shipped task.
-            config: the arm itself; steps and seeds are the budget's.
-            fits: what makes z, taken in turn.
-            seeds: how many seeds, where not the budget's number.
+            config: settings of the arm. The budget sets steps and seeds.
+            fits: the embeddings that provide z, used in turn.
+            seeds: number of seeds; 0 uses the budget's number.
         """
         fits = tuple(fits)
         num = self.seeds or seeds or self.budget.seeds
@@ -179,24 +182,25 @@ class Builder:
         return self.plans(str(task.embedding_problem or task.problem))
 
     def plans(self, problem: str, num: int = 0, **settings: int | float) -> PlansUnit:
-        """Demonstrations: `num`, at most the number of the budget."""
+        """Demonstrations of a planning problem: `num`, or the budget's number if that is smaller."""
         if self.budget.restarts is not None:
             settings["restarts"] = self.budget.restarts
         num = min(num or self.budget.plans, self.budget.plans)
         return PlansUnit(problem, num, tuple(sorted(settings.items())))
 
     def fit(self, plans: PlansUnit, config: FitConfig, **seeds: int) -> FitUnit:
-        """An embedding; `seeds` are `num_seeds` and `seed`."""
+        """An embedding. `seeds` are the arguments `num_seeds` and `seed` of `FitUnit`."""
         steps = self.budget.fit_steps or config.steps
         return FitUnit(plans, replace(config, steps=steps), **seeds)
 
     def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
-        """One embedding per seed, to use in turn."""
+        """Embeddings with different seeds, to use in turn."""
         num = min(num or self.budget.embeddings, self.budget.embeddings)
         return tuple(self.fit(plans, config, seed=seed) for seed in range(first, first + num))
 
 
 def _closure(units: Iterable[Unit]) -> Iterator[Unit]:
+    """The units and all units that they need, each after those that it needs."""
     for unit in units:
         yield from _closure(unit.needs)
         yield unit
@@ -208,5 +212,5 @@ def better(panel: str, text: str, arm: str, other: str) -> Claim:
 
 
 def panel_of(task: str, algo: str) -> str:
-    """The figure that shows an arm."""
+    """Name of the figure of a task and an algorithm."""
     return f"{task}, {algo.upper()}"

@@ -1,15 +1,15 @@
-"""Running one unit: its folder, and the small result that reports are made of.
+"""Run one unit: fill its folder, and write the small result that reports are computed from.
 
-    DIR/work/NAME/          the unit's folder, as `planspace plan`, `embed`, `train` leave it; may be deleted
-    DIR/units/NAME.json     its result, sealed: the unit, what came of it, versions and time
+    DIR/work/NAME/          the unit's folder, written by `planspace plan`, `embed` or `train`; may be deleted
+    DIR/units/NAME.json     the unit's result with a checksum: the unit, its numbers, versions and time
 
-A unit whose result is there is done, on whatever machine. Its folder is made again only if another unit that
-is not done reads it; its result stays what it was.
+A unit with a result is finished, even if another machine ran it. If its folder is missing, the folder is made
+again only when an unfinished unit needs it; the result does not change.
 """
 
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -40,6 +40,8 @@ from planspace.study.results import (
     Film,
     FitResult,
     Found,
+    Metrics,
+    Paths,
     PlansResult,
     PoliciesResult,
     UnitResult,
@@ -54,15 +56,15 @@ SCHEMA = 1
 VERSIONS = Provenance.current("mujoco", "jax").plain()
 WHOLE = "unit.whole"
 """File in the folder of a finished unit."""
-KEPT_EVERY, SHORT = 5, 50
-"""Returns are kept as means of so many iterations, rounded to 2 decimals; of fewer iterations than the second
-number every one is."""
+ITERATIONS_PER_ROW, MIN_ITERATIONS = 5, 50
+"""A result stores mean returns of this many iterations, rounded to 2 decimals. A training with fewer than
+`MIN_ITERATIONS` iterations stores every iteration."""
 LOG_ROWS = 100
-"""Rows of a training log that a result keeps."""
-PATHS, POINTS = 12, 40
-"""Demonstrations in z that a result keeps, and states of each."""
+"""Maximum number of rows of a training log that a result stores."""
+NUM_PATHS, POINTS = 12, 40
+"""Maximum numbers of demonstrations in z that a result stores, and of states per demonstration."""
 FILM_SEED = 1000
-"""Seed of the start of the episode that a result keeps of each policy."""
+"""Seed of the start state of the episode that a result stores."""
 
 
 def folder_of(unit: Unit, out: Path) -> Path:
@@ -89,7 +91,7 @@ def read_result(unit: Unit, out: Path) -> UnitResult:
     """Read the result of a finished unit.
 
     Raises:
-        PlanspaceError: it is damaged, or was written by a newer planspace.
+        PlanspaceError: the file is damaged, or was written by a newer planspace.
     """
     return read_result_file(result_file(unit, out), unit.kind)
 
@@ -102,7 +104,7 @@ def read_result_file(file: Path, kind: str) -> UnitResult:
         kind: the kind of unit: `plans`, `fit` or `policies`.
 
     Raises:
-        PlanspaceError: it is damaged, or was written by a newer planspace.
+        PlanspaceError: the file is damaged, or was written by a newer planspace.
     """
     data = read_description(file, kind=f"{kind} of a study", schema=SCHEMA)
     with reject_malformed(file):
@@ -110,31 +112,31 @@ def read_result_file(file: Path, kind: str) -> UnitResult:
 
 
 def execute(unit: Unit, out: Path) -> None:
-    """Runs a unit, or goes on with it, and writes its result.
+    """Run a unit, or resume it, and write its result.
 
     Args:
-        unit: what to run; what it needs has its folder.
+        unit: the unit. The units that it needs have their folders.
         out: the folder of the studies.
 
     Raises:
-        PlanspaceError: it failed; what was done is saved.
+        PlanspaceError: the unit failed. Finished work is saved.
     """
     use_compilation_cache()
-    began = time.monotonic()
+    start = time.monotonic()
     folder = folder_of(unit, out)
     resumed = folder.exists()
     make_folder(folder.parent)
     found = _RUN[unit.kind](unit, folder, out)
-    seconds = round(time.monotonic() - began, 1)
+    seconds = round(time.monotonic() - start, 1)
     keep_result(unit, out, UnitResult(found, seconds, count_cores(), resumed, cpu_model()))
     write_bytes(folder / WHOLE, b"")
 
 
 def keep_result(unit: Unit, out: Path, result: UnitResult) -> None:
-    """Write the result of a unit; if it is there because only the folder was made again, keep the old one.
+    """Write the result of a unit. If only the unit's folder was made again, keep the existing result.
 
     Raises:
-        PlanspaceError: the unit was made again and differs from its result, which other units depend on.
+        PlanspaceError: the new folder differs from the existing result, which other units depend on.
     """
     if not is_done(unit, out):
         make_folder(result_file(unit, out).parent)
@@ -150,9 +152,9 @@ def keep_result(unit: Unit, out: Path, result: UnitResult) -> None:
     before, now = (getattr(x.found, "hash", "") for x in (read_result(unit, out), result))
     if before != now:
         raise PlanspaceError(
-            f"{unit.name} was made again and differs from the first time: this machine or its libraries "
-            f"round differently from the one that made {result_file(unit, out).parent}. Copy the folder "
-            f"{folder_of(unit, out)} from there, or choose another --out."
+            f"{unit.name} was run again and gave a different result, because this machine or its libraries "
+            f"round differently from the machine that made {result_file(unit, out).parent}. Copy the folder "
+            f"{folder_of(unit, out)} from that machine, or choose another --out."
         )
 
 
@@ -162,7 +164,7 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
         winding_plans(problem, folder, unit.num, unit.seed)
     else:
         config = PlanConfig.for_problem(problem, **dict(unit.settings))
-        with suppress(PartialResult):  # those that were found are demonstrations all the same
+        with suppress(PartialResult):  # use the plans that were found
             plan_into(problem, folder, num=unit.num, seed=unit.seed, config=config, workers=0)
     demos = load_demos(folder)
     ends = demos.states[demos.offsets[1:] - 1]
@@ -200,7 +202,7 @@ def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
     embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
     history = train_policies(unit.task, unit.config, embedding=embeddings, out=folder).history
     returns, steps = history["return"], history["steps"]
-    every = KEPT_EVERY if len(returns) >= SHORT else 1
+    every = ITERATIONS_PER_ROW if len(returns) >= MIN_ITERATIONS else 1
     stops = [*range(every, len(returns), every), len(returns)]
     blocks = [returns[a:b].mean(axis=0) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
     best = load_policy(folder)
@@ -225,27 +227,28 @@ def cpu_model() -> str:
     return names[0] if names else platform.machine()
 
 
-def _paths(embedding: Embedding, demos: Demos) -> tuple[Any, ...]:
-    """Test demonstrations on three principal components of z."""
+def _paths(embedding: Embedding, demos: Demos) -> Paths:
+    """Project test demonstrations onto three principal components of z."""
     used = demos.select(embedding.inputs.names)
-    test = embedding.require_about().split["test"][:PATHS]
-    rows = [used.offsets[i] + _some(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
+    test = embedding.require_about().split["test"][:NUM_PATHS]
+    rows = [used.offsets[i] + _spread_rows(int(used.offsets[i + 1] - used.offsets[i])) for i in test]
     z = [embedding.encode(used.states[part]) for part in rows]
     flat, _ = principal_components(np.concatenate(z), min(3, embedding.z_dim))
     parts = np.split(flat, np.cumsum([len(part) for part in z])[:-1])
     return tuple(_round_all(part, 3) for part in parts)
 
 
-def _some(num: int) -> np.ndarray:
+def _spread_rows(num: int) -> np.ndarray:
+    """Indices of at most `POINTS` evenly spaced rows out of `num`."""
     return np.unique(np.linspace(0, num - 1, POINTS).round().astype(int))
 
 
-def _rounded(metrics: Mapping[str, Any]) -> dict[str, Any]:
+def _rounded(metrics: Metrics) -> Metrics:
     return {k: _round_all(v, 4) if isinstance(v, float) else v for k, v in metrics.items()}
 
 
 def _round_all(numbers: Any, decimals: int) -> Any:
-    """Numbers for JSON: rounded, and None if they are not finite."""
+    """Round numbers for JSON; None for a number that is not finite."""
     if isinstance(numbers, list | tuple | np.ndarray):
         return [_round_all(x, decimals) for x in numbers]
     return round(float(numbers), decimals) if np.isfinite(numbers) else None

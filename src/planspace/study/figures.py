@@ -1,4 +1,4 @@
-"""The study's figures: matplotlib for paper and README, Plotly for the report one can hover over."""
+"""The figures of a study: matplotlib for image files, Plotly for the interactive report."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -14,17 +14,18 @@ from planspace.figures.learning_curves import MAX_BANDS, STYLES
 from planspace.figures.projection import principal_components
 from planspace.figures.style import COLOURMAP, COLOURS, time_left_scale
 from planspace.rl.learning_curve import Curve
+from planspace.study.results import Paths, SeedRow
 from planspace.study.tables import ArmRow
 
 Profile = tuple[np.ndarray, np.ndarray]
-"""Returns, and the fraction of seeds above it than each."""
+"""Returns, and the fraction of seeds above each."""
 DASHES = ("solid", "dash", "dot")
 MAX_PATHS = 20
-"""More paths than this hide each other in a flat picture; the first ones are drawn."""
+"""Number of demonstrations that `plot_paths` draws. More would hide each other."""
 
 
 def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
-    """The same, to hover over."""
+    """Learning curves by the arm's label. Bands are left out if there are more than `MAX_BANDS` arms."""
     figure = go.Figure()
     if len(curves) > MAX_BANDS:
         return _interactive_means(curves)
@@ -52,7 +53,7 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
             line={"color": colour, "width": 1, "dash": "dash"},
         )
     figure.update_layout(
-        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **_flat_layout()
+        xaxis_title="environment steps per seed", yaxis_title="episode return", **_flat_layout()
     )
     return figure
 
@@ -67,7 +68,7 @@ def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
         }
         figure.add_scatter(x=c.steps, y=c.mean, name=label, mode="lines", line=line)
     figure.update_layout(
-        xaxis_title="environment steps a seed", yaxis_title="return of an episode", **_flat_layout()
+        xaxis_title="environment steps per seed", yaxis_title="episode return", **_flat_layout()
     )
     return figure
 
@@ -76,11 +77,11 @@ def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.fig
     """Performance profiles of several arms: the fraction of seeds above each return."""
     figure = matplotlib.figure.Figure(figsize=(9.5, 4.3), layout="constrained")
     axes = figure.subplots()
-    for i, (label, (returns, shares)) in enumerate(profiles.items()):
-        again, colour = divmod(i, len(COLOURS))
-        style = STYLES[again % len(STYLES)]
+    for i, (label, (returns, fractions)) in enumerate(profiles.items()):
+        cycle, colour = divmod(i, len(COLOURS))
+        style = STYLES[cycle % len(STYLES)]
         axes.plot(
-            returns, shares, drawstyle="steps-post", color=COLOURS[colour], linestyle=style, label=label
+            returns, fractions, drawstyle="steps-post", color=COLOURS[colour], linestyle=style, label=label
         )
     axes.set_xlabel("final return")
     axes.set_ylabel("fraction of seeds above it")
@@ -94,12 +95,12 @@ def plot_profiles(profiles: Mapping[str, Profile], title: str) -> matplotlib.fig
 def plot_reached(
     reached: Mapping[str, np.ndarray], rows: Sequence[ArmRow], title: str
 ) -> matplotlib.figure.Figure:
-    """What each arm's seeds reached, its mean, and how sure that is.
+    """Final returns of each arm's seeds, with their mean and its interval.
 
     Args:
-        reached: a number a seed for each arm, by its label.
-        rows: the arms' rows of the table, in the same order: `mean` and `mean_interval`.
-        title: of the figure.
+        reached: final return of each seed, by the arm's label.
+        rows: the arms' rows of the table, in the same order.
+        title: title of the figure.
     """
     figure = matplotlib.figure.Figure(figsize=(8, 1.6 + 0.36 * len(reached)), layout="constrained")
     axes = figure.subplots()
@@ -111,7 +112,7 @@ def plot_reached(
         axes.plot(row.mean, i, "D", color=colour, markersize=6, markeredgecolor="white")
     axes.set_yticks(range(len(reached)), labels=list(reached))
     axes.invert_yaxis()
-    axes.set_xlabel("final return: seeds, their mean, its 95 % interval")
+    axes.set_xlabel("final return: seeds, mean, 95 % interval of the mean")
     axes.set_title(title, loc="left")
     axes.grid(axis="x", color="0.9")
     axes.set_axisbelow(True)
@@ -120,19 +121,19 @@ def plot_reached(
 
 
 def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
-    """The same, to hover over."""
+    """Performance profiles of several arms, as in `plot_profiles`."""
     figure = go.Figure()
-    for i, (label, (returns, shares)) in enumerate(profiles.items()):
-        again, colour = divmod(i, len(COLOURS))
-        line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[again % len(DASHES)]}
-        figure.add_scatter(x=returns, y=shares, name=label, mode="lines", line=line)
+    for i, (label, (returns, fractions)) in enumerate(profiles.items()):
+        cycle, colour = divmod(i, len(COLOURS))
+        line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[cycle % len(DASHES)]}
+        figure.add_scatter(x=returns, y=fractions, name=label, mode="lines", line=line)
     titles = {"xaxis_title": "final return"}
     figure.update_layout(yaxis_title="fraction of seeds above it", **titles, **_flat_layout())
     return figure
 
 
-def interactive_training(steps: Sequence[int], curves: Sequence[Sequence[float]], name: str) -> go.Figure:
-    """One curve of an embedding's training [row][seed], a line a seed."""
+def interactive_training(steps: Sequence[int], curves: Sequence[SeedRow], name: str) -> go.Figure:
+    """A quantity during the training of an embedding, with one line per seed; `curves` is [row][seed]."""
     figure = go.Figure()
     for i, values in enumerate(zip(*curves, strict=True)):
         line = {"color": COLOURS[i % len(COLOURS)], "width": 2}
@@ -141,8 +142,8 @@ def interactive_training(steps: Sequence[int], curves: Sequence[Sequence[float]]
     return figure
 
 
-def interactive_lines(paths: Sequence[Sequence[Sequence[float]]]) -> go.Figure:
-    """Demonstrations in z, to turn: [path][state][principal component]."""
+def interactive_lines(paths: Paths) -> go.Figure:
+    """Demonstrations in z, in 3-D."""
     figure = go.Figure()
     for path in paths:
         columns = np.array(path).T
@@ -160,8 +161,8 @@ def interactive_lines(paths: Sequence[Sequence[Sequence[float]]]) -> go.Figure:
     return figure
 
 
-def plot_spaces(spaces: Mapping[str, Sequence[Sequence[Sequence[float]]]]) -> matplotlib.figure.Figure:
-    """Demonstrations in several embeddings, flat: [path][state][principal component]."""
+def plot_spaces(spaces: Mapping[str, Paths]) -> matplotlib.figure.Figure:
+    """Demonstrations in several embeddings, on two principal components of z."""
     columns = min(len(spaces), 3)
     rows = -(-len(spaces) // columns)
     figure = matplotlib.figure.Figure(figsize=(4 * columns, 0.6 + 3.6 * rows), layout="constrained")
@@ -183,7 +184,7 @@ def plot_spaces(spaces: Mapping[str, Sequence[Sequence[Sequence[float]]]]) -> ma
 
 
 def plot_paths(demos: Demos, embedding: Embedding) -> matplotlib.figure.Figure:
-    """Demonstrations in the state and in z, each on two principal components."""
+    """Demonstrations in state space and in z, each on two principal components."""
     figure = matplotlib.figure.Figure(figsize=(9, 4.3), layout="constrained")
     standard = demos.states / demos.states.std(axis=0)
     longest = max(float(demos.episode(i).times[-1]) for i in range(len(demos)))
@@ -214,13 +215,13 @@ def _faint(colour: str) -> str:
 
 
 def _flat_layout() -> dict[str, Any]:
-    """The same for curves, with a grid that can be seen by day and by night."""
+    """Layout of curves: `plain_layout` with grid lines that are visible in light and dark mode."""
     lines = {"gridcolor": "rgba(136,136,136,0.3)", "zerolinecolor": "rgba(136,136,136,0.5)"}
     return {**plain_layout(), "xaxis": lines, "yaxis": lines}
 
 
 def plain_layout() -> dict[str, Any]:
-    """A layout that fits the report by day and by night."""
+    """Layout of all interactive figures. It suits light and dark mode."""
     return {
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",

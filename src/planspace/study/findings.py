@@ -1,6 +1,6 @@
-"""What is known of a study: the results of its units and the returns of its arms, seed by seed.
+"""The findings of a study: the results of its units, and the returns of each seed of its arms.
 
-They come from the units (`DIR/units`) or, if those are not there, from the study's table of results
+They are read from the units (`DIR/units`) or, if that folder is missing, from the study's `results.csv`
 (`DIR/STUDY-BUDGET/results.csv`), so that a report can be written on any machine.
 """
 
@@ -16,13 +16,13 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 @dataclass(frozen=True)
 class Findings:
-    """What is known of a study."""
+    """The results of a study so far."""
 
     study: Study
     results: Mapping[str, UnitResult]
     """The result of each finished unit, by the unit's name."""
     scores: Mapping[str, Scores]
-    """The seeds that have been run of each arm, by the arm's name."""
+    """The returns of each arm's finished seeds, by the arm's name."""
     versions: Mapping[str, str]
     """Versions of planspace and its libraries that the units were run with."""
 
@@ -39,15 +39,15 @@ class Findings:
         return unit.name in self.results
 
     def plans(self, unit: PlansUnit) -> PlansResult:
-        """The demonstrations of a finished unit."""
+        """The result of a finished planning unit."""
         return cast(PlansResult, self._found(unit))
 
     def fit(self, unit: FitUnit) -> FitResult:
-        """The embedding of a finished unit."""
+        """The result of a finished embedding unit."""
         return cast(FitResult, self._found(unit))
 
     def policies(self, unit: PolicyUnit) -> PoliciesResult:
-        """The policies of a finished unit."""
+        """The result of a finished policy unit."""
         return cast(PoliciesResult, self._found(unit))
 
     def _found(self, unit: Unit) -> Found:
@@ -55,7 +55,7 @@ class Findings:
 
 
 def named_fits(findings: Findings) -> dict[str, FitUnit]:
-    """The finished embeddings, each named by the first arm that uses it and by its seed."""
+    """The finished embeddings. An embedding is named after the first arm that uses it, and its seed."""
     named: dict[str, FitUnit] = {}
     seen: set[str] = set()
     for arm in findings.study.arms:

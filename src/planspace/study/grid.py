@@ -1,4 +1,4 @@
-"""The studies as data: which units, which arms, and the claims they decide, fixed before anything is run."""
+"""The studies and budgets by name."""
 
 from collections.abc import Callable
 
@@ -28,20 +28,20 @@ STUDIES: dict[str, Callable[[str, Builder], Study]] = {
 
 
 def make_study(name: str, budget: str, *, seeds: int = 0) -> Study:
-    """A study of a name.
+    """Make a study.
 
     Args:
         name: a key of `STUDIES`.
         budget: a key of `BUDGETS`.
-        seeds: how many seeds an arm; 0 takes the study's own number.
+        seeds: seeds per arm; 0 uses the study's number.
 
     Raises:
-        UsageError: there is no such study or budget, or the seeds make no whole blocks.
+        UsageError: the study or budget is unknown, or `seeds` is not a multiple of `BLOCK`.
     """
     if name not in STUDIES:
         raise unknown("study", name, STUDIES)
     if budget not in BUDGETS:
         raise unknown("budget", budget, BUDGETS)
     if seeds % BLOCK or seeds < 0:
-        raise UsageError(f"seeds come in blocks of {BLOCK}, got --seeds {seeds}.")
+        raise UsageError(f"`--seeds` must be a positive multiple of {BLOCK}, got {seeds}.")
     return STUDIES[name](budget, Builder(BUDGETS[budget], seeds))

@@ -1,4 +1,4 @@
-"""Self-contained pages: one file with its scripts inside, which loads nothing."""
+"""Self-contained HTML pages: scripts are inside the file, and nothing is loaded."""
 
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,15 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def write_page(path: Path, template: str, **content: Any) -> Path:
-    """Fills a template; what is text stays text, whatever is in it.
+    """Fill a template and write the page. Texts are escaped.
 
     Args:
-        path: the file.
-        template: its name among the templates.
-        content: what it asks for; figures as `embedded` gives them.
+        path: the file to write.
+        template: name of the template.
+        content: variables of the template. Figures are HTML from `embedded`.
+
+    Returns:
+        `path`.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
@@ -31,5 +34,5 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
 
 
 def embedded(figure: go.Figure) -> str:
-    """A figure to embed in a page."""
+    """Convert a figure to HTML for a page."""
     return plotly.io.to_html(figure, include_plotlyjs=False, full_html=False, config=PLOTLY_CONFIG)

@@ -1,4 +1,4 @@
-"""The paper's study, and its claims, each with the number that decides it."""
+"""The study `paper`: the paper's experiments, and its claims with the numbers that decide them."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +23,7 @@ TASK_NAMES = tuple(
 
 
 def paper(budget: str, grid: Builder) -> Study:
-    """Two systems, two sizes of z; four tasks, five arms, two algorithms."""
+    """Compare five arms on four tasks with two algorithms, with embeddings of two systems and two sizes."""
     return Study(
         "paper",
         budget,
@@ -35,15 +35,18 @@ def paper(budget: str, grid: Builder) -> Study:
 
 
 def _notes(steps: int) -> Iterator[str]:
-    yield "Observing z alone, the two reachers are one task, the target unseen: run once, shown twice."
     yield (
-        "Demonstrations are ours and reach their goals; embeddings and both algorithms are of the preset "
-        "paper."
+        "The two reachers are the same task for policies that observe only z, because they do not see the "
+        "target. These arms are run once and shown twice."
+    )
+    yield (
+        "The demonstrations are made by planspace and reach their goals. Embeddings and both algorithms use "
+        "the preset paper."
     )
     if steps < PAPER_STEPS:
         yield (
-            f"The paper ran {PAPER_STEPS:,} steps a seed, this is {steps:,}: what it says of the end of "
-            "training is judged at the end of these."
+            f"The paper ran {PAPER_STEPS:,} steps per seed, this study {steps:,}. Claims about the end of "
+            "training are judged after these steps."
         )
 
 
@@ -54,7 +57,7 @@ def _arms(task: str, algo: str, grid: Builder) -> Iterator[Arm]:
         for z_dim in (LOW_DIM, HIGH_DIM)
     )
     base = TrainConfig(find_algorithm(algo))
-    # where nothing but z is observed, the two reachers do not differ
+    # the two reachers do not differ if only z is observed
     only, same = replace(base, z="replace"), "reacher-raw" if task == "reacher-trig" else task
     yield grid.arm(panel, RAW, task, base)
     yield grid.arm(panel, LOW_Z, task, replace(base, z="augment"), [low])
@@ -64,7 +67,7 @@ def _arms(task: str, algo: str, grid: Builder) -> Iterator[Arm]:
 
 
 def _swing_up_claims() -> Iterator[Claim]:
-    trpo, ppo = (_Judge("cartpole-swingup", algo) for algo in ALGOS)
+    trpo, ppo = (_ClaimsAgainstRaw("cartpole-swingup", algo) for algo in ALGOS)
     for z in (LOW_Z, HIGH_Z):
         yield trpo.more(f"TRPO swings up better on average with {z}", "final", z)
         yield _late(trpo.more(f"TRPO rises slightly faster with {z}", "early", z))
@@ -80,7 +83,7 @@ def _swing_up_claims() -> Iterator[Claim]:
 
 
 def _cartpole_claims() -> Iterator[Claim]:
-    judge, ppo = _Judge("cartpole", "trpo"), panel_of("cartpole", "ppo")
+    judge, ppo = _ClaimsAgainstRaw("cartpole", "trpo"), panel_of("cartpole", "ppo")
     name = f"{judge.panel}/{RAW}"
     yield Claim("CartPole: raw is near perfect almost at once", SOURCE, "early", name, "", margin=80.0)
     for z in (LOW_Z, HIGH_Z):
@@ -97,7 +100,7 @@ def _cartpole_claims() -> Iterator[Claim]:
 
 
 def _reacher_claims() -> Iterator[Claim]:
-    trig, raw = _Judge("reacher-trig", "trpo"), _Judge("reacher-raw", "trpo")
+    trig, raw = _ClaimsAgainstRaw("reacher-trig", "trpo"), _ClaimsAgainstRaw("reacher-raw", "trpo")
     yield trig.same("ReacherTrig: low-Z is even with raw", "final", LOW_Z)
     yield trig.less("ReacherTrig: high-Z is behind early", "early", HIGH_Z)
     yield trig.same("ReacherTrig: high-Z catches up", "final", HIGH_Z)
@@ -106,10 +109,10 @@ def _reacher_claims() -> Iterator[Claim]:
     yield _late(raw.more("ReacherRaw: low-Z improves on raw, to a lesser extent", "final", LOW_Z))
     for task in ("reacher-trig", "reacher-raw"):
         for z in (ONLY_LOW_Z, ONLY_HIGH_Z):
-            yield _late(_Judge(task, "trpo").less(f"{task}: {z} does not do well", "final", z))
-            yield _late(_Judge(task, "ppo").less(f"{task}, PPO: {z} does not do well", "final", z))
+            yield _late(_ClaimsAgainstRaw(task, "trpo").less(f"{task}: {z} does not do well", "final", z))
+            yield _late(_ClaimsAgainstRaw(task, "ppo").less(f"{task}, PPO: {z} does not do well", "final", z))
         for z in (LOW_Z, HIGH_Z):
-            yield _Judge(task, "ppo").less(f"{task}, PPO: {z} slightly under-performs", "final", z)
+            yield _ClaimsAgainstRaw(task, "ppo").less(f"{task}, PPO: {z} slightly under-performs", "final", z)
         for arm in (RAW, LOW_Z, HIGH_Z):
             text = f"{task}, PPO: {arm} is no particularly strong policy"
             name = f"{panel_of(task, 'ppo')}/{arm}"
@@ -125,19 +128,22 @@ def _algorithm_claims() -> Iterator[Claim]:
 
 
 def _late(claim: Claim) -> Claim:
+    """Mark a claim as made or changed after some returns were known."""
     return replace(claim, late=True)
 
 
 SOURCE, FIGURE = "RL performance", "figure of TRPO"
+"""Parts of the paper that make the claims."""
 STRONG_REACHER = 10.0
-"""Half-way between the paper's levels of a reacher that does nothing, -14, and one that reaches, -6."""
+"""A strong reacher policy has a return above minus this: halfway between the paper's levels of a reacher that
+does nothing, -14, and one that reaches the target, -6."""
 
 
-class _Judge:
-    """Claims about arms of one task and algorithm against observing it raw."""
+class _ClaimsAgainstRaw:
+    """Makes claims that compare the arms of a task and algorithm with the arm `raw`."""
 
     def __init__(self, task: str, algo: str):
-        self.panel, self.near = panel_of(task, algo), TASKS[task].similar_return or 0.0
+        self.panel, self.similar = panel_of(task, algo), TASKS[task].similar_return or 0.0
 
     def more(self, text: str, measure: Measure, arm: str) -> Claim:
         return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}")
@@ -146,4 +152,6 @@ class _Judge:
         return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}", "less")
 
     def same(self, text: str, measure: Measure, arm: str) -> Claim:
-        return Claim(text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}", "same", self.near)
+        return Claim(
+            text, SOURCE, measure, f"{self.panel}/{arm}", f"{self.panel}/{RAW}", "same", self.similar
+        )

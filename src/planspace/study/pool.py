@@ -23,13 +23,14 @@ from planspace.workers import available_cores, count_cores, exit_with_parent, wo
 REFRESH_S = 1.0
 """Seconds that a pool waits for a unit to end."""
 PATIENCE_S, REMIND_S = 30.0, 5.0
-"""Seconds that workers have to save their work after each request to stop, and the number of requests."""
+"""A worker that stops gets this time [s] to save its work, and repeated requests at this interval [s]."""
 INTERRUPTED = 130
+"""Exit code of an interrupted worker."""
 
 
 @runtime_checkable
 class Pool(Protocol):
-    """A place to run units."""
+    """Runs units. `LocalPool` runs them on this machine, `RayPool` on a cluster."""
 
     @property
     def size(self) -> int:
@@ -37,7 +38,7 @@ class Pool(Protocol):
         ...
 
     def start(self, unit: Unit) -> None:
-        """Start a unit. The units that it needs are done."""
+        """Start a unit. The units that it needs are finished."""
         ...
 
     def wait(self) -> Sequence[tuple[Unit, str | None]]:
@@ -57,18 +58,18 @@ class _Worker:
 
 
 class LocalPool:
-    """Processes that share this machine's cores."""
+    """A pool of processes that share this machine's cores."""
 
     def __init__(self, out: Path, size: int):
-        """Make a pool for a folder of studies, with at most one worker per core."""
+        """Make a pool for a folder of studies, with at most one process per core."""
         self.size, self._out = min(size, count_cores()), out
         self._free = list(range(self.size))
         self._workers: list[_Worker] = []
 
     def start(self, unit: Unit) -> None:
         """Start a unit in a separate process."""
-        _error_file(unit, self._out).unlink(missing_ok=True)  # of an earlier attempt
-        context = multiprocessing.get_context("spawn")  # a fork would copy thread pools that no longer run
+        _error_file(unit, self._out).unlink(missing_ok=True)  # from an earlier attempt
+        context = multiprocessing.get_context("spawn")  # a fork would copy thread pools without their threads
         slot = self._free.pop()
         process = context.Process(target=_work, args=(unit, self._out, slot, self.size), name=unit.name)
         with worker_environment():
@@ -88,7 +89,7 @@ class LocalPool:
         """Tell the workers to save and exit."""
         deadline = time.monotonic() + PATIENCE_S
         while alive := [worker.process for worker in self._workers if worker.process.is_alive()]:
-            for process in alive:  # more than once: an interrupt can be lost in a callback of the interpreter
+            for process in alive:  # repeatedly: the interpreter can lose an interrupt in a callback
                 process.terminate() if time.monotonic() < deadline else process.kill()
             wait([process.sentinel for process in alive], timeout=REMIND_S)
 
@@ -99,7 +100,7 @@ class LocalPool:
         if code < 0:
             return f"its process was killed by {signal.Signals(-code).name}"
         file = _error_file(worker.unit, self._out)
-        return str(read_json(file)["error"]) if file.exists() else f"its process ended with {code}"
+        return str(read_json(file)["error"]) if file.exists() else f"its process exited with code {code}"
 
 
 def _error_file(unit: Unit, out: Path) -> Path:
@@ -108,7 +109,7 @@ def _error_file(unit: Unit, out: Path) -> Path:
 
 def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
     """Run one unit in a worker process."""
-    os.setpgid(0, 0)  # Ctrl-C is the parent's to hear, who then says so
+    os.setpgid(0, 0)  # only the parent receives Ctrl-C; it stops the workers
     signal.signal(signal.SIGTERM, _interrupt)
     exit_with_parent()
     cores = available_cores()
@@ -121,13 +122,13 @@ def _work(unit: Unit, out: Path, slot: int, workers: int) -> None:
             sys.exit(INTERRUPTED)
         except Exception as error:
             traceback.print_exc()
-            with contextlib.suppress(PlanspaceError):  # the disk may be what is wrong
-                write_json(_error_file(unit, out), {"error": named(error)})
+            with contextlib.suppress(PlanspaceError):  # the disk may be full
+                write_json(_error_file(unit, out), {"error": one_line(error)})
             sys.exit(1)
 
 
-def named(error: Exception) -> str:
-    """An error in one line, with its type if planspace did not raise it."""
+def one_line(error: Exception) -> str:
+    """Format an error in one line, with its type if it is not a PlanspaceError."""
     text = " ".join(str(error).split())
     return text if isinstance(error, PlanspaceError) else f"{type(error).__name__}: {text}"
 

@@ -9,10 +9,9 @@ from planspace.study.design import BLOCK, RAW, SWING_UP, Builder, Study, better,
 
 RECIPE = "recipe: sin/cos + z"
 RECIPE_FIT = PRESETS["modern"].with_settings(linearity=2.0)
-RECIPE_EACH = 15
-"""Policies per embedding."""
+POLICIES_PER_EMBEDDING = 15
 RECIPE_SEED, RECIPE_FIT_SEED = 200, 10
-"""First seeds of policies and embeddings; no setting was chosen on these seeds."""
+"""First seeds of policies and embeddings. No setting was chosen on these seeds."""
 
 
 def recipe(budget: str, grid: Builder) -> Study:
@@ -22,7 +21,9 @@ def recipe(budget: str, grid: Builder) -> Study:
     trig, trig_z = replace(raw, obs="trig"), replace(raw, obs="trig", z="augment")
     unseen = replace(grid, seed=RECIPE_SEED)
     random = grid.fits(plans, PRESETS["modern"].with_objective("random"), first=RECIPE_FIT_SEED)
-    seeds = RECIPE_EACH * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
+    seeds = (
+        POLICIES_PER_EMBEDDING * grid.budget.embeddings if grid.budget.seeds >= BLOCK else grid.budget.seeds
+    )
     fits = grid.fits(plans, RECIPE_FIT, first=RECIPE_FIT_SEED)
     arms = (
         unseen.arm(panel, RECIPE, SWING_UP, trig_z, fits, seeds),

@@ -1,13 +1,13 @@
-"""The report of a study: one self-contained HTML file, and its figures and tables as files."""
+"""The report of a study: one self-contained HTML file, and its figures and tables in separate files."""
 
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from planspace.embed.config import FitConfig
 from planspace.embed.training_log import LogRow
 from planspace.errors import PlanspaceError
 from planspace.figures.learning_curves import MAX_BANDS, plot_curves
@@ -30,30 +30,62 @@ from planspace.study.figures import (
 )
 from planspace.study.findings import Findings, named_fits
 from planspace.study.html import embedded, write_page
+from planspace.study.results import Film, Paths, PoliciesResult, SeedRow
 from planspace.study.summary import ABOUT, folder_of_study, summarise
 from planspace.study.tables import ArmRow, StudySummary
 from planspace.study.tidy import FILE, write_tidy
-from planspace.study.unit import FitUnit
+from planspace.study.unit import FitUnit, PlansUnit
 
 SPACES = "demonstrations-in-z"
-"""The figure of embeddings."""
+"""File name of the figure of demonstrations in z."""
 MAX_SPACES = 8
 """Number of embeddings with an interactive figure. Browsers limit the number of WebGL frames."""
 THRESHOLDS = 200
+"""Number of points of a performance profile."""
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """A figure of the study, with its table."""
+
+    name: str
+    slug: str
+    rows: list[ArmRow]
+    curves: str
+    """Learning curves, as HTML."""
+    profiles: str
+    """Performance profiles, as HTML."""
+    films: list[tuple[str, Film]]
+    """The arm's label and its film, for each arm that has one."""
+
+
+@dataclass(frozen=True)
+class _Training:
+    """The training of an embedding that was selected among several seeds."""
+
+    name: str
+    file: str
+    """Name of the figure's file, without suffix."""
+    selected: int
+    """Position of the selected seed."""
+    path_error: str
+    """Curves as HTML."""
+    bound: str
+    """Curves as HTML."""
 
 
 def write_report(findings: Findings, out: Path) -> tuple[StudySummary, Path]:
     """Write `DIR/STUDY-BUDGET/`: report.html, tables.md, tables.json, results.csv and figures.
 
     Args:
-        findings: what is known of the study.
+        findings: the results of the study so far.
         out: the folder of the studies.
 
     Returns:
-        The tables, and the report's path.
+        The tables, and the path of the report.
 
     Raises:
-        PlanspaceError: nothing is done yet.
+        PlanspaceError: no arm has results yet.
     """
     study = findings.study
     if not findings.scores:
@@ -61,31 +93,7 @@ def write_report(findings: Findings, out: Path) -> tuple[StudySummary, Path]:
     summary = summarise(findings)
     folder = make_folder(folder_of_study(study, out))
     figures = make_folder(folder / "figures")
-    tables = json.dumps(asdict(summary), indent=1, allow_nan=False) + "\n"
-    write_bytes(folder / "tables.json", tables.encode())
-    if any(scores.reached is None for scores in findings.scores.values()):  # else this is what was read
-        write_tidy(findings, folder / FILE)
-        write_json(folder / ABOUT, _about(findings))
-    panels = []
-    for panel, arms in findings.panels().items():
-        curves = {arm.label: _curve(findings, arm) for arm in arms}
-        reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
-        profiles = _profiles(reached)
-        rows = summary.panels[panel]
-        title = f"{panel}: {_seeds(rows)} seeds of {summary.steps / 1e6:g} M steps"
-        save_figure(plot_curves(curves, title), figures, slug(panel))
-        save_figure(plot_reached(reached, rows, title), figures, f"{slug(panel)}-reached")
-        save_figure(plot_profiles(profiles, title), figures, f"{slug(panel)}-profile")
-        panels.append(
-            {
-                "name": panel,
-                "slug": slug(panel),
-                "rows": rows,
-                "curves": embedded(interactive_curves(curves)),
-                "profiles": embedded(interactive_profiles(profiles)),
-                "films": [film for arm in arms if (film := _film(findings, arm))],
-            }
-        )
+    _write_tables(findings, summary, folder)
     spaces = _spaces(findings)
     if spaces:
         save_figure(plot_spaces(spaces), figures, SPACES)
@@ -93,40 +101,66 @@ def write_report(findings: Findings, out: Path) -> tuple[StudySummary, Path]:
         summary=summary,
         study=study,
         versions=findings.versions,
-        panels=panels,
+        panels=[_panel(findings, name, arms, summary, figures) for name, arms in findings.panels().items()],
         spaces_figure=SPACES,
         final_steps=stats.FINAL_STEPS,
         visible=stats.VISIBLE_RATIO,
         trainings=_trainings(findings, figures),
-        spaces=[{"name": name, "paths": embedded(interactive_lines(x))} for name, x in spaces.items()],
+        spaces={name: embedded(interactive_lines(paths)) for name, paths in spaces.items()},
     )
     write_page(folder / "tables.md", "tables.md", **content)
-    path = write_page(
-        folder / "report.html",
-        "study.html",
-        smoothing=SMOOTHING,
-        max_bands=MAX_BANDS,
-        **content,
+    page = folder / "report.html"
+    write_page(page, "study.html", smoothing=SMOOTHING, max_bands=MAX_BANDS, **content)
+    return summary, page
+
+
+def _write_tables(findings: Findings, summary: StudySummary, folder: Path) -> None:
+    """Write tables.json, results.csv and study.json."""
+    tables = json.dumps(asdict(summary), indent=1, allow_nan=False) + "\n"
+    write_bytes(folder / "tables.json", tables.encode())
+    if all(scores.reached is not None for scores in findings.scores.values()):
+        return  # the findings were read from results.csv, which has fewer points than the units
+    write_tidy(findings, folder / FILE)
+    study = findings.study
+    about = {
+        "study": study.name,
+        "budget": study.budget,
+        "only": list(study.parts),
+        "command": study.command,
+        "versions": dict(findings.versions),
+    }
+    write_json(folder / ABOUT, about)
+
+
+def _panel(findings: Findings, name: str, arms: list[Arm], summary: StudySummary, figures: Path) -> _Panel:
+    """Draw the figures of a panel, and return its part of the report."""
+    curves = {arm.label: _curve(findings, arm) for arm in arms}
+    reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
+    profiles, rows = _profiles(reached), summary.panels[name]
+    title = f"{name}: {_seeds(rows)} seeds of {summary.steps / 1e6:g} M steps"
+    save_figure(plot_curves(curves, title), figures, slug(name))
+    save_figure(plot_reached(reached, rows, title), figures, f"{slug(name)}-reached")
+    save_figure(plot_profiles(profiles, title), figures, f"{slug(name)}-profile")
+    return _Panel(
+        name=name,
+        slug=slug(name),
+        rows=rows,
+        curves=embedded(interactive_curves(curves)),
+        profiles=embedded(interactive_profiles(profiles)),
+        films=[(arm.label, film) for arm in arms if (film := _film(findings, arm))],
     )
-    return summary, path
 
 
 def slug(name: str) -> str:
-    """A name as part of a file's name."""
+    """Turn a name into a part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
 
 
 def _curve(findings: Findings, arm: Arm) -> Curve:
     scores = findings.scores[arm.name]
-    iterations_a_row = max(1, round(arm.units[0].config.iterations / len(scores.steps)))
+    iterations_per_row = max(1, round(arm.units[0].config.iterations / len(scores.steps)))
     history = {"steps": scores.steps, "return": scores.returns}
-    return learning_curve(history, max(1, SMOOTHING // iterations_a_row))
-
-
-def _about(findings: Findings) -> dict[str, Any]:
-    study = findings.study
-    names = {"study": study.name, "budget": study.budget, "only": list(study.parts)}
-    return {**names, "command": study.command, "versions": dict(findings.versions)}
+    return learning_curve(history, max(1, SMOOTHING // iterations_per_row))
 
 
 def _seeds(rows: list[ArmRow]) -> str:
@@ -136,53 +170,57 @@ def _seeds(rows: list[ArmRow]) -> str:
 
 
 def _profiles(reached: dict[str, np.ndarray]) -> dict[str, Profile]:
-    everything = np.concatenate(list(reached.values()))
-    margin = 0.05 * max(float(np.ptp(everything)), 1e-9)
-    thresholds = np.linspace(everything.min() - margin, everything.max() + margin, THRESHOLDS)
+    returns = np.concatenate(list(reached.values()))
+    margin = 0.05 * max(float(np.ptp(returns)), 1e-9)
+    thresholds = np.linspace(returns.min() - margin, returns.max() + margin, THRESHOLDS)
     return {label: (thresholds, stats.profile(x, thresholds)) for label, x in reached.items()}
 
 
-def _film(findings: Findings, arm: Arm) -> dict[str, Any] | None:
-    """The episode of the best seed, of the block whose evaluation ended best; None if no film is kept."""
-    found = [findings.policies(unit) for unit in arm.units if findings.done(unit)]
-    found = [result for result in found if result.film is not None]
-    if not found:
+def _film(findings: Findings, arm: Arm) -> Film | None:
+    """The film of the block with the best seed in the last evaluation; None if no block has a film."""
+    blocks = [findings.policies(unit) for unit in arm.units if findings.done(unit)]
+    with_film = [block for block in blocks if block.film is not None]
+    if not with_film:
         return None
-    best = max(found, key=lambda result: max(_number(x) for x in result.eval_returns[-1]))
-    assert best.film is not None
-    return {"label": arm.label, **asdict(best.film)}
+    return max(with_film, key=_best_evaluation).film
 
 
-def _number(x: float | None) -> float:
-    return -np.inf if x is None else x  # it was not finite
+def _best_evaluation(block: PoliciesResult) -> float:
+    return max(-np.inf if x is None else x for x in block.eval_returns[-1])
 
 
-def _trainings(findings: Findings, figures: Path) -> list[dict[str, str]]:
-    """The curves of embeddings that were chosen among several seeds, as the paper shows them."""
+def _trainings(findings: Findings, figures: Path) -> list[_Training]:
+    """Draw the training curves of the embeddings that were selected among several seeds."""
     shown = []
     for name, unit in named_fits(findings).items():
         found = findings.fit(unit)
         if unit.num_seeds < 2 or not found.bound:
             continue
         columns = zip(found.log_steps, found.path_error, found.bound, strict=True)
-        rows = [LogRow(step=step, path_error=error, bound=bound) for step, error, bound in columns]
+        rows = [
+            LogRow(step=step, path_error=_numbers(error), bound=_numbers(bound))
+            for step, error, bound in columns
+        ]
         title, file = f"{name}, z of {unit.config.z_dim} numbers", f"training-{slug(name)}"
-        save_figure(plot_training(rows, found.seed - unit.seed, title=title), figures, file)
-        shown.append(
-            {
-                "name": title,
-                "file": file,
-                "kept": f"seed {found.seed - unit.seed}",
-                "path_error": embedded(interactive_training(found.log_steps, found.path_error, "path error")),
-                "bound": embedded(interactive_training(found.log_steps, found.bound, "bound [nats]")),
-            }
-        )
+        selected = found.seed - unit.seed
+        save_figure(plot_training(rows, selected, title=title), figures, file)
+        path_error = interactive_training(found.log_steps, found.path_error, "path error")
+        bound = interactive_training(found.log_steps, found.bound, "bound [nats]")
+        shown.append(_Training(title, file, selected, embedded(path_error), embedded(bound)))
     return shown
 
 
-def _spaces(findings: Findings) -> dict[str, Any]:
-    """Demonstrations as embeddings see them: the first seed of each kind, on the largest dataset."""
-    kinds: dict[tuple[Any, ...], tuple[str, FitUnit]] = {}
+def _numbers(row: SeedRow) -> list[float]:
+    return [np.nan if x is None else x for x in row]
+
+
+def _spaces(findings: Findings) -> dict[str, Paths]:
+    """Demonstrations in z by the embedding's name.
+
+    Embeddings that differ only in the seed or the number of demonstrations count as one kind. The first seed
+    with the most demonstrations stands for its kind.
+    """
+    kinds: dict[tuple[PlansUnit, FitConfig], tuple[str, FitUnit]] = {}
     for name, unit in named_fits(findings).items():
         kind = (replace(unit.plans, num=0), unit.config)
         _, known = kinds.get(kind, (name, unit))

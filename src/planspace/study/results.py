@@ -1,16 +1,20 @@
-"""The result of a unit: declared types, and how they are written to and read from JSON."""
+"""The result of a unit: declared types, and how to read them from JSON."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 Metrics = Mapping[str, int | float | None]
 """Geometry metrics by name; None if not finite."""
+SeedRow = Sequence[float | None]
+"""One number per seed; None if not finite."""
+Paths = Sequence[Sequence[Sequence[float]]]
+"""Demonstrations in z as [path][state][principal component]."""
 
 
 @dataclass(frozen=True)
 class PlansResult:
-    """What a dataset of demonstrations contains."""
+    """The result of planning: facts about the demonstrations."""
 
     count: int
     """Number of demonstrations."""
@@ -23,7 +27,7 @@ class PlansResult:
 
 @dataclass(frozen=True)
 class FitResult:
-    """What a trained embedding measures."""
+    """The result of training an embedding."""
 
     seed: int
     """The selected seed."""
@@ -31,13 +35,13 @@ class FitResult:
     """Geometry on test demonstrations."""
     raw_state: Metrics = field(default_factory=dict)
     """The same metrics of the standardised raw state."""
-    paths: tuple[Any, ...] = ()
-    """Test demonstrations in z as [path][state][principal component]; empty if not kept."""
+    paths: Paths = ()
+    """Test demonstrations; empty if not stored."""
     log_steps: tuple[int, ...] = ()
     """Optimiser steps of the rows of `path_error` and `bound`; empty if the fit has a closed form."""
-    path_error: tuple[Any, ...] = ()
+    path_error: tuple[SeedRow, ...] = ()
     """Path error during training, [row][seed]."""
-    bound: tuple[Any, ...] = ()
+    bound: tuple[SeedRow, ...] = ()
     """Bound during training, [row][seed]."""
     hash: str = ""
     """Hash of the embedding's content."""
@@ -51,7 +55,7 @@ class Film:
     """The seed of the policy."""
     seconds: float
     """Time between two poses."""
-    poses: tuple[Any, ...]
+    poses: Sequence[Sequence[Sequence[int]]]
     """[pose][line] as x0, y0, x1, y1 in mm."""
 
 
@@ -62,18 +66,18 @@ class PoliciesResult:
     seeds: tuple[int, ...]
     steps: tuple[int, ...]
     """Environment steps of a seed at the end of each row."""
-    returns: tuple[Any, ...]
+    returns: tuple[SeedRow, ...]
     """Mean return of the iterations of each row, [row][seed]."""
     frozen: tuple[bool, ...]
     """Whether each seed diverged."""
     eval_steps: tuple[int, ...] = ()
     """Environment steps of a seed at each evaluation."""
-    eval_returns: tuple[Any, ...] = ()
-    """Mean return of each evaluation, [evaluation][seed]; None if not finite."""
+    eval_returns: tuple[SeedRow, ...] = ()
+    """Mean return of each evaluation, [evaluation][seed]."""
     embeddings: tuple[str, ...] = ()
     """Hashes of the embeddings."""
     film: Film | None = None
-    """An episode of the best seed; None if not kept."""
+    """An episode of the best seed; None if not stored."""
 
 
 Found = PlansResult | FitResult | PoliciesResult
@@ -81,13 +85,13 @@ Found = PlansResult | FitResult | PoliciesResult
 
 @dataclass(frozen=True)
 class UnitResult:
-    """What a finished unit found, and how long it took."""
+    """The result of a finished unit, and how long it took."""
 
     found: Found
     seconds: float
     cores: int
     resumed: bool = False
-    """Whether it was interrupted, so that `seconds` is not all of its time."""
+    """Whether the unit was interrupted, so that `seconds` counts only the last part."""
     cpu: str = ""
     """Model of the CPU it ran on; empty if not recorded."""
 
@@ -101,7 +105,7 @@ _TYPES: dict[str, type[Found]] = {"plans": PlansResult, "fit": FitResult, "polic
 
 
 def result_from_json(kind: str, data: Mapping[str, Any]) -> UnitResult:
-    """Reads the result of a unit.
+    """Read the result of a unit.
 
     Args:
         kind: `plans`, `fit` or `policies`.

@@ -1,4 +1,4 @@
-"""Running a study: its missing units run in a pool, and each result is saved when it is ready."""
+"""Run a study: run its missing units in a pool, and save each result when it is ready."""
 
 import sys
 import time
@@ -10,7 +10,7 @@ from planspace.progress import progress
 from planspace.storage.files import TEMPORARY_PREFIX, make_folder
 from planspace.storage.runs import lock_folder, open_run
 from planspace.study.design import Study
-from planspace.study.eta import Pace
+from planspace.study.eta import Timings
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
 from planspace.study.pool import LocalPool, Pool
 from planspace.study.unit import Unit
@@ -21,10 +21,10 @@ ATTEMPTS = 2
 
 
 def open_results(out: Path) -> None:
-    """Opens a folder of studies.
+    """Open a folder of studies, or make it.
 
     Raises:
-        PlanspaceError: it was made by other versions, or is something else.
+        PlanspaceError: the folder was made with other versions, or is not a folder of studies.
     """
     open_run(out, {"command": "study", "schema": SCHEMA, "versions": VERSIONS})
 
@@ -48,25 +48,26 @@ def units_to_run(study: Study, out: Path) -> list[Unit]:
 def run_study(
     study: Study, out: Path, workers: int = 0, make_pool: Callable[[Path, int], Pool] = LocalPool
 ) -> dict[str, str]:
-    """Runs what is left of a study; the same call goes on where one was interrupted.
+    """Run the missing units of a study. The same call resumes an interrupted one.
 
     Args:
         study: the study.
-        out: the folder of the studies; units that another study has run are taken as they are.
-        workers: units at a time; 0 takes one for each core.
-        make_pool: what runs them, for a folder and so many at a time.
+        out: the folder of the studies. Units that another study has run are reused.
+        workers: number of units to run at a time; 0 runs one per core.
+        make_pool: makes the pool that runs units, from the folder and the number of units at a time.
 
     Returns:
-        What was wrong with each unit that failed, by its name.
+        The error of each failed unit, by the unit's name.
 
     Raises:
-        PlanspaceError: the folder is of other versions or another kind, or another command is at work in it.
+        PlanspaceError: the folder was made with other versions, is not a folder of studies, or is in use by
+            another command.
     """
     open_results(out)
     make_folder(out / "work")
     with lock_folder(out):
-        for left_behind in (out / "units").glob(f"{TEMPORARY_PREFIX}*"):  # by a kill in the middle of a write
-            left_behind.unlink()
+        for partial in (out / "units").glob(f"{TEMPORARY_PREFIX}*"):  # left by a process killed while writing
+            partial.unlink()
         state = _State(units_to_run(study, out))
         if state.todo:
             pool = make_pool(out, min(workers or count_cores(), len(state.todo)))
@@ -78,10 +79,10 @@ def run_study(
 
 
 def failures(failed: dict[str, str], study: Study) -> Iterator[str]:
-    """One line for each failed unit, with its arms."""
+    """One line per failed unit, with its arms."""
     for name, error in failed.items():
         arms = [arm.name for arm in study.arms if any(unit.name == name for unit in arm.units)]
-        yield f"{name} ({', '.join(arms) or 'needed by others'}): {error}"
+        yield f"{name} ({', '.join(arms) or 'needed by other units'}): {error}"
 
 
 @dataclass
@@ -93,16 +94,16 @@ class _State:
     running: dict[str, tuple[Unit, float]] = field(default_factory=dict)
     """Running units by name, with their start times."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Errors of the units that failed for good, by name."""
+    """Errors of the units that failed in every attempt, by name."""
     attempts: dict[str, int] = field(default_factory=dict)
 
     def next(self) -> Unit | None:
-        """Take the first unit that can run now, and give up the units whose needs have failed."""
+        """Take the first unit that can run now. Units that need a failed unit fail too."""
         pending = {unit.name for unit in self.todo} | self.running.keys()
         for unit in list(self.todo):
             if any(need.name in self.failed for need in unit.needs):
                 self.todo.remove(unit)
-                self.failed[unit.name] = "what it needs has failed"
+                self.failed[unit.name] = "a unit that it needs failed"
             elif not any(need.name in pending for need in unit.needs):
                 self.todo.remove(unit)
                 self.running[unit.name] = unit, time.monotonic()
@@ -111,20 +112,20 @@ class _State:
 
     def ended(self, unit: Unit, error: str | None) -> float:
         """Record how a unit ended, and return the seconds it took."""
-        _, began = self.running.pop(unit.name)
+        _, start = self.running.pop(unit.name)
         if error is not None:
             self.attempts[unit.name] = self.attempts.get(unit.name, 0) + 1
             if self.attempts[unit.name] < ATTEMPTS:
                 self.todo.append(unit)
             else:
                 self.failed[unit.name] = error
-        return time.monotonic() - began
+        return time.monotonic() - start
 
 
 def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
     cores = max(1.0, count_cores() / pool.size)
     results = {unit.name: read_result(unit, out) for unit in study.units if is_done(unit, out)}
-    pace = Pace.of(study.units, results)
+    timings = Timings.of(study.units, results)
     done = sum(unit.name in results and unit not in state.todo for unit in study.units)
     with progress(f"study {study.name}", len(study.units), done=done, unit="unit") as bar:
         while state.todo or state.running:
@@ -135,17 +136,19 @@ def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
             for unit, error in pool.wait():
                 seconds = state.ended(unit, error)
                 if error is None:
-                    pace.add(unit, seconds * cores)
+                    timings.add(unit, seconds * cores)
                     bar.update()
             counts = f"{len(state.running)} running, {len(state.failed)} failed"
-            left = _time_left(state, pace, pool, cores)
+            left = _time_left(state, timings, pool, cores)
             bar.set_postfix_str(f"{counts}, {left} left", refresh=sys.stderr.isatty())
 
 
-def _time_left(state: _State, pace: Pace, pool: Pool, cores: float) -> str:
-    """Estimated time until everything is done, if each unit uses this number of cores."""
+def _time_left(state: _State, timings: Timings, pool: Pool, cores: float) -> str:
+    """Estimate the time until every unit is finished, if each unit uses `cores` cores."""
     now = time.monotonic()
-    waiting = sum(pace.expect(unit) for unit in state.todo)
-    under_way = sum(max(pace.expect(u) - (now - began) * cores, 0.0) for u, began in state.running.values())
-    minutes = (waiting + under_way) / (pool.size * cores) / 60
+    waiting = sum(timings.estimate(unit) for unit in state.todo)
+    running = sum(
+        max(timings.estimate(u) - (now - start) * cores, 0.0) for u, start in state.running.values()
+    )
+    minutes = (waiting + running) / (pool.size * cores) / 60
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"

@@ -12,7 +12,7 @@ UNSHAPED, SHAPED_BY_Z = "unshaped", "shaped by z"
 SHAPINGS: dict[str, ShapingType] = {UNSHAPED: "none", SHAPED_BY_Z: "z", "shaped by raw distance": "raw"}
 REWARDS: tuple[RewardType, ...] = ("dense", "sparse")
 SHAPING_SCALE = 100.0
-"""Reward for the way from a mean start to the goal: a seventh of the range from idle to solved."""
+"""Total shaping reward from an average start to the goal: a seventh of the range from idle to solved."""
 
 
 def shaping(budget: str, grid: Builder) -> Study:

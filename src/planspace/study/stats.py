@@ -1,10 +1,11 @@
-"""Statistics over seeds: what each arm reached, how sure that is, and what it decides.
+"""Statistics over seeds: final returns, confidence intervals, and verdicts on claims.
 
-Every interval is a bootstrap's, at 95 %, widened for few seeds as Student's t is. Two arms are compared seed
-by seed: a seed's starts and noise are the same in both. Where seeds take several embeddings in turn,
-embeddings are drawn first and then the seeds of each, so that an interval says what other embeddings would
-bring, too; where two arms have different numbers of them, the smaller one counts. How often a seed of one arm
-beats one of another, and what is put together over tasks, takes seeds for independent.
+Intervals are 95 % bootstrap intervals, widened for few seeds by the ratio of Student's t to the normal
+quantile. Two arms are compared in pairs of equal seeds, because a seed has the same starts and noise in both
+arms. If seeds use several embeddings in turn, the bootstrap draws embeddings first and then seeds of each
+embedding, so that the interval includes the variation between embeddings. If two arms have different numbers
+of embeddings, the smaller number is used. The probability of improvement and the mean over tasks treat seeds
+as independent.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,15 +23,16 @@ from planspace.study.results import PoliciesResult
 
 RESAMPLES = 5000
 CONFIDENCE = 0.95
-FINAL_STEPS, FINAL_SHARE = 200_000, 0.25
-"""What a seed reached is its mean return over the last 50 iterations of 4000 steps, and at most over the last
-quarter of a short training."""
-EARLY_SHARE = 0.25
+FINAL_STEPS, FINAL_FRACTION = 200_000, 0.25
+"""The final return of a seed is its mean return over this many last steps (50 iterations of 4000 steps), but
+at most over this last fraction of the training."""
+EARLY_FRACTION = 0.25
+"""The early return of a seed is its mean return over this first fraction of the training."""
 NUM_BEST = 2
 """The best case is the mean over this many seeds: the paper's figures show the best and the second best."""
 VISIBLE_RATIO = {15: 1.73, 30: 1.45, 50: 1.33, 75: 1.26, 100: 1.22}
-"""Two normal samples of this many seeds differ in their standard deviations beyond this ratio (two-sided, 95
-%)."""
+"""By the number of seeds: the smallest ratio of the standard deviations of two normal samples that is
+significant at 95 % (two-sided)."""
 
 Interval = tuple[float, float]
 
@@ -55,13 +57,13 @@ class Scores:
     returns: Float[np.ndarray, "row seed"]
     """Mean return of the iterations of each row."""
     num_embeddings: int
-    """Number of embeddings that the seeds take in turn; seeds of one embedding are equal modulo this."""
+    """Number of embeddings that the seeds use in turn: seed s uses embedding s modulo this number."""
     diverged: tuple[bool, ...] = ()
     """Whether each seed diverged."""
     evaluation: Float[np.ndarray, " seed"] | None = None
     """Mean return of each seed's last evaluation."""
     reached: Reached | None = None
-    """Given if `returns` has fewer rows than the training had."""
+    """Given if `returns` has fewer rows than the training."""
 
     @classmethod
     def of(cls, arm: Arm, found: Sequence[PoliciesResult]) -> "Scores":
@@ -98,21 +100,21 @@ class Scores:
         )
 
 
-# --- one number a seed ----------------------------------------------------------------------------------
+# --- one number per seed --------------------------------------------------------------------------------
 
 
 def final(scores: Scores) -> Float[np.ndarray, " seed"]:
     """Final return of each seed: its mean return over the last `FINAL_STEPS`."""
     if scores.reached is not None:
         return scores.reached.final
-    return _mean_between(scores, 1.0 - min(FINAL_STEPS / scores.steps[-1], FINAL_SHARE), 1.0)
+    return _mean_between(scores, 1.0 - min(FINAL_STEPS / scores.steps[-1], FINAL_FRACTION), 1.0)
 
 
 def early(scores: Scores) -> Float[np.ndarray, " seed"]:
     """Mean return of each seed over the first quarter of the training."""
     if scores.reached is not None:
         return scores.reached.early
-    return _mean_between(scores, 0.0, EARLY_SHARE)
+    return _mean_between(scores, 0.0, EARLY_FRACTION)
 
 
 def whole(scores: Scores) -> Float[np.ndarray, " seed"]:
@@ -123,7 +125,7 @@ def whole(scores: Scores) -> Float[np.ndarray, " seed"]:
 
 
 def steps_to(scores: Scores, threshold: float, window: int = 2) -> Float[np.ndarray, " seed"]:
-    """Steps until the mean of `window` rows is first above a threshold; infinite for a seed that never is."""
+    """Steps until the mean of `window` rows first exceeds a threshold; infinite if it never does."""
     if scores.reached is not None:
         return scores.reached.steps_to_solved
     summed = np.cumsum(np.insert(scores.returns, 0, 0.0, axis=0), axis=0)
@@ -136,7 +138,7 @@ def steps_to(scores: Scores, threshold: float, window: int = 2) -> Float[np.ndar
 def _mean_between(scores: Scores, low: float, high: float) -> Float[np.ndarray, " seed"]:
     ends = scores.steps / scores.steps[-1]
     rows = (ends > low + 1e-9) & (ends <= high + 1e-9)
-    rows[0 if high < 1.0 else -1] = True  # of a training of a few rows, the first or the last
+    rows[0 if high < 1.0 else -1] = True  # at least the first or the last row of a short training
     weights = np.diff(scores.steps, prepend=0)[rows]
     return np.average(scores.returns[rows], axis=0, weights=weights)
 
@@ -145,38 +147,41 @@ def _mean_between(scores: Scores, low: float, high: float) -> Float[np.ndarray, 
 
 
 def mean(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
-    """The mean."""
+    """Mean over seeds."""
     return np.asarray(np.mean(x, axis=-1))
 
 
 def iqm(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
-    """Interquartile mean: of the middle half of the seeds (Agarwal et al. 2021)."""
+    """Interquartile mean: the mean of the middle half of the seeds (Agarwal et al. 2021)."""
     return np.asarray(scipy.stats.trim_mean(x, 0.25, axis=-1))
 
 
 def best(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
-    """Mean of the best seeds."""
+    """Mean of the `NUM_BEST` best seeds."""
     return np.asarray(np.sort(x, axis=-1)[..., -NUM_BEST:].mean(axis=-1))
 
 
 def log_std(x: Float[np.ndarray, "*batch seed"]) -> Float[np.ndarray, "*batch"]:
-    """Logarithm of the deviation over seeds; of one seed, or of seeds all alike, of a billionth."""
+    """Logarithm of the standard deviation over seeds, which is at least 1e-9."""
     return np.asarray(np.log(np.maximum(np.std(x, axis=-1, ddof=min(1, x.shape[-1] - 1)), 1e-9)))
 
 
 def interval(
     scores: Scores, number: Callable[[np.ndarray], np.ndarray], x: Float[np.ndarray, " seed"]
 ) -> Interval:
-    """95 % interval of a number over seeds."""
+    """95 % interval of a statistic over seeds."""
     drawn = _draws(scores.seeds, scores.num_embeddings)
     return _widened(float(number(x)), number(x[drawn]), len(x), scores.num_embeddings)
 
 
 def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float, Interval]:
-    """IQM over tasks and seeds together, seeds drawn within each task (the stratified bootstrap).
+    """Interquartile mean over all seeds of all tasks. The bootstrap draws seeds within each task.
 
     Args:
         samples: the normalised scores of each task.
+
+    Returns:
+        The mean and its interval.
     """
 
     def number(*drawn: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -192,7 +197,7 @@ def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float
 def probability_of_improvement(
     arm: Float[np.ndarray, " seed"], other: Float[np.ndarray, " other_seed"]
 ) -> tuple[float, Interval]:
-    """How often a seed of one arm is better than one of the other, ties counting half (Mann and Whitney)."""
+    """Probability that a seed of `arm` is better than a seed of `other`; ties count half (Mann-Whitney)."""
 
     def number(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
         pairs = np.sign(a[..., :, None] - b[..., None, :])
@@ -208,15 +213,15 @@ def probability_of_improvement(
 def profile(
     x: Float[np.ndarray, " seed"], thresholds: Float[np.ndarray, " threshold"]
 ) -> Float[np.ndarray, " threshold"]:
-    """Performance profile: the share of seeds above each threshold."""
+    """Performance profile: the fraction of seeds above each threshold."""
     return np.asarray((x[:, None] > thresholds).mean(axis=0))
 
 
 def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[float, float] | None:
-    """Deviation due to the embedding, and due to the policy's seed (one-way random effects).
+    """Standard deviations between embeddings and between policies of an embedding (one-way random effects).
 
     Returns:
-        None where there are fewer than two embeddings or a policy each.
+        Both; None with fewer than two embeddings, or without equal numbers of at least two policies each.
     """
     groups = [
         x[[i for i, seed in enumerate(scores.seeds) if seed % scores.num_embeddings == g]]
@@ -232,7 +237,7 @@ def variance_components(scores: Scores, x: Float[np.ndarray, " seed"]) -> tuple[
 
 
 def log_std_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
-    """Logarithm of the deviation over seeds of `base` over that of `scores`, which have the same seeds."""
+    """Logarithm of the ratio of standard deviations, `base` over `scores`; both have the same seeds."""
     return _compare("spread", scores, base)
 
 
@@ -241,28 +246,28 @@ def log_std_ratio(scores: Scores, base: Scores) -> tuple[float, Interval]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a claim."""
+    """A verdict on a claim, with the number that decided it."""
 
     number: float
     interval: Interval
     seeds: int
-    """How many decided it."""
+    """Number of seeds that both arms have."""
     verdict: str
     """holds, does not hold, or cannot tell."""
 
 
 MIN_SEEDS = 5
-"""Fewer decide nothing: what they do not differ in, a bootstrap does not see."""
+"""With fewer seeds, the verdict is `OPEN`: a bootstrap of so few seeds underestimates the variation."""
 HOLDS, FAILS, OPEN = "holds", "does not hold", "cannot tell"
 
 
 def judge(claim: Claim, arm: Scores, other: Scores | None) -> Verdict:
-    """Decides a claim; see `Claim`.
+    """Decide a claim; see `Claim`.
 
     Args:
         claim: the claim.
-        arm: its arm.
-        other: what it is compared with; of both, the seeds they share are taken.
+        arm: scores of the claim's arm.
+        other: scores of the arm that it is compared with, if any. Only shared seeds are used.
     """
     shared = tuple(seed for seed in arm.seeds if other is None or seed in other.seeds)
     if len(shared) < MIN_SEEDS:
@@ -273,7 +278,10 @@ def judge(claim: Claim, arm: Scores, other: Scores | None) -> Verdict:
 
 
 def _compare(measure: Measure, arm: Scores, other: Scores | None) -> tuple[float, Interval]:
-    """A measure of an arm less another's with the same seeds, and its interval; a spread turned about."""
+    """Difference of a measure between two arms with the same seeds, and its interval.
+
+    A spread has the opposite sign, so that a smaller spread gives a larger number.
+    """
     of_seeds, over_seeds, sign = _MEASURES[measure]
     groups = _groups(arm, other)
     drawn = _draws(arm.seeds, groups)
@@ -299,15 +307,15 @@ _MEASURES: dict[Measure, tuple[Callable[[Scores], np.ndarray], Callable[[np.ndar
     "early": (early, mean, 1),
     "whole": (whole, mean, 1),
     "best": (final, best, 1),
-    "spread": (final, log_std, -1),  # less spread is what is claimed
+    "spread": (final, log_std, -1),  # claims are about less spread
     "early_spread": (early, log_std, -1),
 }
-"""A number of each seed, what is made of them, and which way is up."""
+"""For each measure: the number of a seed, the statistic over seeds, and the sign."""
 
 
 @lru_cache(maxsize=64)
 def _draws(seeds: tuple[int, ...], num_embeddings: int) -> Int[np.ndarray, "resample seed"]:
-    """Which seeds each resample has: embeddings first, where there are several, then seeds of each."""
+    """Indices of the seeds in each resample. Embeddings are drawn first, then seeds of each embedding."""
     rng = np.random.default_rng(0)
     if num_embeddings < 2:
         return rng.integers(len(seeds), size=(RESAMPLES, len(seeds)))
@@ -321,13 +329,13 @@ def _draws(seeds: tuple[int, ...], num_embeddings: int) -> Int[np.ndarray, "resa
 
 
 def _groups(arm: Scores, other: Scores | None) -> int:
-    """How many embeddings are drawn from: the smaller number, of two arms that both have several."""
+    """Number of embeddings to draw from: the smaller one if both arms have several; 0 if neither has."""
     several = [x.num_embeddings for x in (arm, other) if x is not None and x.num_embeddings > 1]
     return min(several, default=0)
 
 
 def _widened(number: float, draws: np.ndarray, num_seeds: int, num_embeddings: int) -> Interval:
-    """Percentiles of the draws, as much farther from the number as few independent things ask for."""
+    """Percentiles of the draws, widened for few seeds, or for few embeddings if there are several."""
     num = num_embeddings if num_embeddings > 1 else num_seeds
     tail = (1.0 - CONFIDENCE) / 2
     low, high = np.percentile(draws, [100 * tail, 100 * (1 - tail)])

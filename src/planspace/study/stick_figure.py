@@ -1,6 +1,6 @@
-"""An episode as a stick figure: lines that a page can draw and move without a film."""
+"""An episode as a stick figure: lines that a web page can animate."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -8,9 +8,9 @@ import numpy as np
 from planspace.demos.dataset import Demos
 
 FRAMES = 60
-"""Poses of an episode."""
+"""Maximum number of poses of an episode."""
 LONG = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
-"""Shapes that are drawn as their axis; boxes as their longest, all others as a point."""
+"""Shapes that are drawn as their axis. Boxes are drawn as their longest axis, other shapes as a point."""
 
 
 class StickFilm(NamedTuple):
@@ -18,16 +18,12 @@ class StickFilm(NamedTuple):
 
     seconds: float
     """Time between two poses."""
-    poses: tuple[Any, ...]
+    poses: list[list[list[int]]]
     """[pose][line] as x0, y0, x1, y1 in mm."""
 
 
 def stick_film(demos: Demos) -> StickFilm:
-    """The first episode, flat: on the two axes of the world along which its robot moves most.
-
-    Returns:
-        `seconds` between poses, and `poses` [pose][line] as x0, y0, x1, y1 [mm].
-    """
+    """Project the first episode onto the two world axes along which its robot moves most."""
     model, space = demos.info.compile()
     data = mujoco.MjData(model)
     episode = demos.episode(0)
@@ -43,11 +39,11 @@ def stick_film(demos: Demos) -> StickFilm:
     axes = sorted(np.argsort(-spread)[:2])
     flat = np.round(1000 * lines[..., axes]).astype(int)
     seconds = round(float(episode.times[-1]) / max(len(which) - 1, 1), 4)
-    return StickFilm(seconds, tuple(flat.reshape(*flat.shape[:2], 4).tolist()))
+    return StickFilm(seconds, flat.reshape(*flat.shape[:2], 4).tolist())
 
 
 def _ends(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Both ends of a geom's axis."""
+    """Both ends of a geom's axis, in world coordinates."""
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     reach = np.zeros(3)
     if kind in LONG:

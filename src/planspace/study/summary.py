@@ -1,4 +1,4 @@
-"""From the results of a study to its tables."""
+"""Compute the tables of a study from its results."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json
 from planspace.study import stats
 from planspace.study.design import SPREADS, Arm, Claim, Study, solved_level
-from planspace.study.eta import Pace
+from planspace.study.eta import Timings
 from planspace.study.execute import is_done, read_result
 from planspace.study.findings import Findings, named_fits
 from planspace.study.stats import Scores, Verdict
@@ -38,7 +38,7 @@ def folder_of_study(study: Study, out: Path) -> Path:
 
 
 def read_findings(study: Study, out: Path) -> Findings:
-    """Read what a study has found so far: from its units or, if there are none, from its `results.csv`.
+    """Read the results of a study so far: from its units or, if there are none, from its `results.csv`.
 
     Args:
         study: the study.
@@ -125,11 +125,11 @@ def _over_tasks(findings: Findings) -> list[OverTasksRow]:
         if len(samples) > 1 and samples.keys() == tasks:
             rows.append(OverTasksRow(algo, label, len(samples), *stats.iqm_over_tasks([*samples.values()])))
     counts = {row.algo: sum(other.algo == row.algo for other in rows) for row in rows}
-    return [row for row in rows if counts[row.algo] > 1]  # a single arm has nothing to be compared with
+    return [row for row in rows if counts[row.algo] > 1]  # a single arm cannot be compared
 
 
 def _ratio(scores: Scores, base: Scores) -> Estimate | None:
-    """Standard deviation of the first arm divided by this one's; None if all seeds are equal."""
+    """Ratio of standard deviations, first arm over this arm; None if all seeds of an arm are equal."""
     shared = tuple(seed for seed in scores.seeds if seed in base.seeds)
     both = scores.of_seeds(shared), base.of_seeds(shared)
     if len(shared) < 3 or min(np.ptp(stats.final(x)) for x in both) == 0.0:
@@ -139,7 +139,7 @@ def _ratio(scores: Scores, base: Scores) -> Estimate | None:
 
 
 def _median_steps(scores: Scores, solved: float | None) -> float | None:
-    """Steps until half of the seeds are above the threshold; None if fewer ever are."""
+    """Steps until half of the seeds have solved the task; None if fewer than half ever do."""
     if solved is None:
         return None
     steps = np.sort(stats.steps_to(scores, solved))
@@ -157,7 +157,7 @@ def _claim(findings: Findings, claim: Claim) -> ClaimRow:
     found = stats.judge(claim, arm, other)
     verdict = found.verdict
     if any(len(findings.scores[x.name].seeds) < _planned(x) for x in arms):
-        verdict = "not finished"  # stopping as soon as a claim holds would not be a test
+        verdict = "not finished"  # stopping as soon as a claim holds would bias the test
     if not np.isfinite(found.number):
         return ClaimRow(claim, rule, None, None, found.seeds, verdict)
     number, interval = _readable(claim, found)
@@ -165,7 +165,7 @@ def _claim(findings: Findings, claim: Claim) -> ClaimRow:
 
 
 def _readable(claim: Claim, found: Verdict) -> Estimate:
-    """The number of a claim; a spread is judged by its logarithm and shown as a ratio."""
+    """Number and interval of a claim. A spread is judged by its logarithm and shown as a ratio."""
     if claim.measure not in SPREADS:
         return found.number, found.interval
     low, high = np.exp(found.interval).tolist()
@@ -173,7 +173,7 @@ def _readable(claim: Claim, found: Verdict) -> Estimate:
 
 
 def _rule(claim: Claim, arms: list[Arm]) -> str:
-    """The condition under which a claim holds, in words: final: low-Z augment − raw > 0."""
+    """The condition under which a claim holds, such as "final: low-Z augment − raw > 0"."""
     several_panels = len({arm.panel for arm in arms}) > 1
     names = {arm.name: f"{arm.label} ({arm.panel})" if several_panels else arm.label for arm in arms}
     arm, other = (names.get(name, name) for name in (claim.arm, claim.other))
@@ -210,10 +210,10 @@ def _plans(findings: Findings, unit: PlansUnit) -> PlansRow:
 
 def _time(findings: Findings) -> Time:
     """The time of the finished units, and an estimate for the whole study."""
-    pace = Pace.of(findings.study.units, findings.results)
+    timings = Timings.of(findings.study.units, findings.results)
     return Time(
-        timed_units=pace.timed,
-        timed_core_seconds=round(pace.core_seconds),
-        whole_core_seconds=round(sum(pace.expect(unit) for unit in findings.study.units)),
-        not_timed=sum(not pace.knows(unit) for unit in findings.study.units),
+        timed_units=timings.num_timed,
+        timed_core_seconds=round(timings.core_seconds),
+        whole_core_seconds=round(sum(timings.estimate(unit) for unit in findings.study.units)),
+        not_timed=sum(not timings.has_kind(unit) for unit in findings.study.units),
     )

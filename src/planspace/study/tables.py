@@ -1,4 +1,4 @@
-"""The tables of a study as declared types, and as text for a terminal."""
+"""The tables of a study: declared types, and text for a terminal."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class ArmRow:
     seeds: int
     """Number of seeds that have been run."""
     planned: int
-    """Number of seeds of the whole study."""
+    """Number of seeds that the study plans for the arm."""
     embeddings: int
     diverged: int
     """Number of seeds that diverged."""
@@ -49,7 +49,7 @@ class ArmRow:
 
 @dataclass(frozen=True)
 class OverTasksRow:
-    """An arm over all tasks, each normalised by its levels."""
+    """Returns of an arm over all tasks. Each task is normalised: 0 is an idle policy, 1 is solved."""
 
     algo: str
     arm: str
@@ -79,7 +79,7 @@ class EmbeddingRow:
 
     name: str
     demos: int
-    """Number of demonstrations that it was trained on, with validation and test."""
+    """Number of demonstrations: training, validation and test together."""
     z_dim: int
     seed: int
     metrics: Metrics
@@ -106,7 +106,7 @@ class Time:
     whole_core_seconds: int
     """Estimate for the whole study."""
     not_timed: int
-    """Units of a kind that has no timed unit yet."""
+    """Number of units whose kind has no timed unit yet."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class StudySummary:
     units_done: int
     units_all: int
     panels: Mapping[str, list[ArmRow]]
-    """The rows of each figure; the others are compared with the first."""
+    """The rows of each figure. The other arms are compared with the first."""
     over_tasks: list[OverTasksRow]
     claims: list[ClaimRow]
     embeddings: list[EmbeddingRow]

@@ -1,16 +1,16 @@
-"""The results of a study as one tidy table: `results.csv`, a number a row.
+"""The results of a study as one tidy table: `results.csv`, with one number per row.
 
-Columns: `study`, `arm`, `seed`, `embedding`, `step`, `metric`, `value`; of timings also `command` and `cpu`.
+Columns: `study`, `arm`, `seed`, `embedding`, `step`, `metric`, `value`, and `command` and `cpu` for timings.
 Cells that do not apply are empty. The tables, claims and curves of a study can be computed from its
-`results.csv`; demonstrations in z and films cannot: they are only in the units.
+`results.csv`. Demonstrations in z and films are stored only in the units.
 
-| metric | of | value |
+| metric | columns used | value |
 |---|---|---|
-| `return` | seed, step | mean return of the episodes since the last row's step |
-| `final_return`, `early_return`, `whole_return` | seed | mean at the end, in the first quarter, in all |
-| `steps_to_solved` | seed | environment steps until it solved the task; no row if it never did |
-| `evaluation_return` | seed | mean return of its last evaluation |
-| `diverged` | seed | 1; no row if it did not diverge |
+| `return` | seed, step | mean return since the previous row's step |
+| `final_return`, `early_return`, `whole_return` | seed | mean return: end, first quarter, all |
+| `steps_to_solved` | seed | environment steps until the task is solved; no row if never |
+| `evaluation_return` | seed | mean return of the last evaluation |
+| `diverged` | seed | 1; no row if the seed did not diverge |
 | `training_path_error`, `training_bound` | seed, embedding, step | during the training of the embedding |
 | `straightness`, ... | seed, embedding | geometry on test demonstrations; the seed is the selected one |
 | `plans_count`, `plans_reached`, `plans_median_duration_s` | embedding | its demonstrations |
@@ -38,9 +38,9 @@ from planspace.study.unit import FitUnit, PlansUnit, Unit
 
 FILE = "results.csv"
 POINTS = 25
-"""Points of a learning curve that are kept; the numbers of the tables are computed from all of them."""
+"""Number of points of a stored learning curve. The tables are computed from the full curve."""
 LOG_POINTS = 20
-"""Points of the curves of an embedding's training, each a mean of neighbouring rows of the log."""
+"""Number of points of a stored training curve of an embedding. Each is a mean of neighbouring rows."""
 PLANS_TIME, FIT_TIME, POLICIES_TIME = "plans_core_seconds", "embedding_core_seconds", "policies_core_seconds"
 TRAINING = {"path_error": "training_path_error", "bound": "training_bound"}
 PLANS_METRICS = ("count", "reached", "median_duration_s")
@@ -53,7 +53,7 @@ class Row(NamedTuple):
     arm: str
     seed: int | None
     embedding: int | None
-    """Index of the embedding among those that the seeds of the arm take in turn."""
+    """Index of the embedding among those that the seeds of the arm use in turn."""
     step: int | None
     metric: str
     value: float
@@ -65,9 +65,9 @@ def write_tidy(findings: Findings, path: Path, points: Mapping[str, int] | None 
     """Write the table of a study.
 
     Args:
-        findings: what is known of the study.
+        findings: the results of the study so far.
         path: the file.
-        points: points of each learning curve that are kept, by panel; `POINTS` if not given.
+        points: number of points of each stored learning curve, by panel; `POINTS` if not given.
     """
     write_rows(_rows(findings, points or {}), path)
 
@@ -87,7 +87,7 @@ def read_rows(path: Path) -> list[Row]:
     """Read a table.
 
     Raises:
-        PlanspaceError: the file is missing, or is not such a table.
+        PlanspaceError: the file is missing, or is not a table of results.
     """
     with reject_malformed(path):
         lines = csv.reader(io.StringIO(read_bytes(path).decode()))
@@ -100,15 +100,15 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def read_tidy(study: Study, path: Path, versions: Mapping[str, str]) -> Findings:
-    """Read what is known of a study from its table.
+    """Read the findings of a study from its table.
 
     Args:
-        study: the study, or some of its arms.
+        study: the study, which may have only some of its arms.
         path: the file.
-        versions: versions that the units were run with.
+        versions: library versions that the units were run with.
 
     Raises:
-        PlanspaceError: the file is missing, or is not such a table.
+        PlanspaceError: the file is missing, or is not a table of results.
     """
     by_arm: defaultdict[str, list[Row]] = defaultdict(list)
     for row in read_rows(path):
@@ -148,7 +148,7 @@ def _rows(findings: Findings, points: Mapping[str, int]) -> Iterator[Row]:
 
 
 def _needs(arm: Arm) -> Iterator[tuple[str, int, PlansUnit | FitUnit]]:
-    """The metric of the time, the index of the embedding, and the unit."""
+    """The units that an arm's policies need: metric of the time, index of the embedding, unit."""
     for index, fit in enumerate(arm.units[0].fits):
         yield PLANS_TIME, index, fit.plans
         yield FIT_TIME, index, fit
@@ -179,7 +179,7 @@ def _policy_rows(study: str, arm: Arm, scores: Scores, points: int) -> Iterator[
 
 
 def _thinned(scores: Scores, points: int) -> Iterator[tuple[int, np.ndarray]]:
-    """The step and the mean returns since the last step, of about this many points."""
+    """About `points` points of the learning curves: the step, and each seed's mean return up to it."""
     every = max(1, -(-len(scores.steps) // points))
     lengths = np.diff(scores.steps, prepend=0)
     for start in range(0, len(scores.steps), every):
@@ -218,7 +218,7 @@ def _time_rows(head: Row, findings: Findings, unit: Unit) -> Iterator[Row]:
 
 
 def _number(value: float) -> str:
-    """The shortest text with six decimals at most: 12, -236.41."""
+    """Format a number with at most six decimals, without trailing zeros: 12, -236.41."""
     return np.format_float_positional(round(value, 6) + 0.0, trim="-")
 
 
@@ -233,8 +233,8 @@ def _scores(arm: Arm, rows: Sequence[Row]) -> Scores:
             curve[row.step][row.seed] = row.value
         elif row.seed is not None:
             values[row.metric][row.seed] = row.value
-    wanted = {seed for unit in arm.units for seed in unit.config.seeds}
-    seeds = tuple(seed for seed in values["final_return"] if seed in wanted)
+    planned = {seed for unit in arm.units for seed in unit.config.seeds}
+    seeds = tuple(seed for seed in values["final_return"] if seed in planned)
 
     def of_seeds(metric: str, missing: float = np.nan) -> np.ndarray:
         return np.array([values[metric].get(seed, missing) for seed in seeds])

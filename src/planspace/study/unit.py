@@ -1,8 +1,8 @@
 """The units of a study: demonstrations, embeddings, and policies of a few seeds.
 
-A unit is plain data. Its name is the hash of everything it depends on, so a unit that two studies share is
-run once. A task is hashed by its name only: its content belongs to the version of planspace, and a folder of
-results holds one version.
+A unit is plain data. Its name contains a hash of everything it depends on, so a unit that two studies share
+is run once. Of a task, only the name is hashed: its content is fixed by the version of planspace, and all
+results in a folder are from one version.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
@@ -17,15 +17,15 @@ from planspace.tasks.problem_file import load_problem
 
 PlanSource = Literal["plan", "2020"]
 
-SECONDS_A_PLAN = {"plan": 0.85, "2020": 2.0}
-SECONDS_A_TRIPLET = 4.5e-6
-STEPS_A_SECOND = 50_000.0
-"""Environment steps that one core trains in a second, roughly, for an algorithm without `steps_a_second`. The
-time left is estimated from it until units are done."""
+SECONDS_PER_PLAN = {"plan": 0.85, "2020": 2.0}
+SECONDS_PER_TRIPLET = 4.5e-6
+STEPS_PER_SECOND = 50_000.0
+"""Rough number of environment steps that one core trains per second, for algorithms without `steps_a_second`.
+The time left is estimated from these constants until units are finished."""
 
 
 class _Unit:
-    """What every unit has."""
+    """The name of a unit."""
 
     kind: ClassVar[str]
 
@@ -63,7 +63,7 @@ class PlansUnit(_Unit):
     @property
     def cost(self) -> float:
         """Estimated seconds on one core."""
-        return SECONDS_A_PLAN[self.source] * self.num
+        return SECONDS_PER_PLAN[self.source] * self.num
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class FitUnit(_Unit):
     @property
     def cost(self) -> float:
         """Estimated seconds on one core."""
-        return self.num_seeds * (3.0 + SECONDS_A_TRIPLET * self.config.steps * self.config.batch)
+        return self.num_seeds * (3.0 + SECONDS_PER_TRIPLET * self.config.steps * self.config.batch)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class PolicyUnit(_Unit):
     @property
     def cost(self) -> float:
         """Estimated seconds on one core."""
-        rate = getattr(self.config.algorithm, "steps_a_second", STEPS_A_SECOND)
+        rate = getattr(self.config.algorithm, "steps_a_second", STEPS_PER_SECOND)
         return self.config.steps * self.config.num_seeds / rate
 
 
@@ -119,7 +119,7 @@ Unit = PlansUnit | FitUnit | PolicyUnit
 
 
 def _plain(value: Any) -> Any:
-    """Turn dataclasses into plain data."""
+    """Convert dataclasses to plain data."""
     if isinstance(value, TrainConfig | FitConfig):
         return plain_settings(value)
     if is_dataclass(value):
