@@ -10,6 +10,7 @@ from planspace.demos.recording import recorded
 from planspace.demos.render import FilmConfig, render_demos
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
+from planspace.mjcf.source import ModelSource
 from planspace.physics.rendering import rendering_backend
 from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
@@ -85,8 +86,9 @@ def test_an_mp4(opengl: str, tmp_path: Path) -> None:
 
 def test_a_model_without_a_camera_gets_a_free_camera(opengl: str, tmp_path: Path) -> None:
     info = state_info(load_problem("cartpole-swingup"))
-    lines = [line for line in info.mjcf.splitlines() if "<camera" not in line]
-    info = replace(info, mjcf="\n".join(lines))
+    assert info.source is not None
+    lines = [line for line in info.source.text.splitlines() if "<camera" not in line]
+    info = replace(info, source=ModelSource("\n".join(lines)))
     render_demos(moving_cart(info), tmp_path / "film.gif", replace(SMALL, episodes=1, fps=2))
     assert (tmp_path / "film.gif").stat().st_size > 0
     with pytest.raises(UsageError, match="the model has no camera; leave out --camera"):

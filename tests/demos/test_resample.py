@@ -6,6 +6,7 @@ from planspace.demos.recording import recorded
 from planspace.demos.resample import common_step, resample, with_continuous_angles
 from planspace.demos.state_info import StateInfo
 from planspace.mjcf.assets import ASSETS
+from planspace.mjcf.source import ModelSource
 
 MJCF = (ASSETS / "cartpole.xml").read_text()
 INFO = StateInfo(("x",), ("",), (), 1)
@@ -51,7 +52,8 @@ def test_times_rounded_to_float32_are_even() -> None:
 
 
 def test_the_step_is_a_multiple_of_the_time_step_of_the_model() -> None:
-    info = StateInfo(("x",), ("",), (), 1, joints=("slider", "hinge"), mjcf=MJCF)  # steps of 0.02 s
+    model = ModelSource(MJCF)  # steps of 0.02 s
+    info = StateInfo(("x",), ("",), (), 1, joints=("slider", "hinge"), source=model)
     assert step_of([episode([0.0, 0.05, 0.1, 0.2])], info) == pytest.approx(0.04)
     assert step_of([episode([0.0, 0.003, 0.006, 0.02])], info) == pytest.approx(0.02)
 

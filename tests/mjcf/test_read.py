@@ -1,5 +1,7 @@
+import shutil
 from pathlib import Path
 
+import matplotlib.image
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import read_model
+from planspace.mjcf.same_model import different_fields
 
 TWO_JOINTS = """<mujoco><worldbody>
   <body><joint name="a" type="hinge"/><geom name="ga" size="0.1"/>
@@ -23,38 +26,40 @@ def write(folder: Path, text: str, name: str = "model.xml") -> Path:
 
 
 def test_a_model_in_one_file_is_read_unchanged(tmp_path: Path) -> None:
-    assert read_model(write(tmp_path, TWO_JOINTS), ("a", "b")) == TWO_JOINTS
-    assert read_model(write(tmp_path, TWO_JOINTS)) == TWO_JOINTS
+    for joints in (("a", "b"), None):
+        source = read_model(write(tmp_path, TWO_JOINTS), joints)
+        assert source.is_text and source.text == TWO_JOINTS
 
 
-def test_other_joints_are_locked(tmp_path: Path) -> None:
+def test_other_joints_are_held(tmp_path: Path) -> None:
     model = load_model(read_model(write(tmp_path, TWO_JOINTS), ("a",)))
     assert (model.nq, model.nu, model.nsensor, model.nbody) == (1, 1, 0, 3)  # b's body stays
     assert model.joint(0).name == "a"
 
 
-def test_includes_are_merged(tmp_path: Path) -> None:
+def test_an_included_file_belongs_to_the_model(tmp_path: Path) -> None:
     write(tmp_path, '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/></worldbody></mujoco>',
           "parts/floor.xml")  # fmt: skip
     text = TWO_JOINTS.replace("<mujoco>", '<mujoco><include file="parts/floor.xml"/>')
-    merged = read_model(write(tmp_path, text))
-    assert "include" not in merged
-    assert load_model(merged).ngeom == 3
+    source = read_model(write(tmp_path, text))
+    assert list(source.contents) == ["model.xml", "parts/floor.xml"]
+    shutil.rmtree(tmp_path)
+    assert load_model(source).ngeom == 3
 
 
 @pytest.mark.parametrize(
     ("inside", "message"),
     [
-        ('<include file="../secret.xml"/>', "'../secret.xml', outside its folder"),
-        ('<include file="/etc/passwd"/>', "'/etc/passwd', outside its folder"),
-        ('<include file="file:///etc/passwd"/>', "outside its folder"),
+        ('<include file="../secret.xml"/>', "'../secret.xml', outside the folder"),
+        ('<include file="/etc/passwd"/>', "'/etc/passwd', outside the folder"),
+        ('<include file="file:///etc/passwd"/>', "outside the folder"),
         ('<include file="model.xml"/>', "includes 'model.xml' twice, or in a circle"),
         ('<include file="nowhere.xml"/>', "cannot read .*nowhere.xml"),
-        ('<asset><mesh file="../a.stl"/></asset>', "'../a.stl', outside its folder"),
-        ('<compiler meshdir="../"/><asset><mesh file="a.stl"/></asset>', "'a.stl', outside its folder"),
-        ('<asset><texture type="cube" fileright="/etc/a.png"/></asset>', "'/etc/a.png', outside its folder"),
+        ('<asset><mesh file="../a.stl"/></asset>', "'../a.stl', outside the folder"),
+        ('<compiler meshdir="../"/><asset><mesh file="a.stl"/></asset>', "'a.stl', outside the folder"),
         ('<asset><mesh file="a.stl"/></asset>', "does not compile: .*a.stl"),
-        ('<asset><hfield file="a.png"/></asset>', "cannot hold the file of an element <hfield>"),
+        ('<asset><hfield name="h" size="1 1 1 1" file="a.png"/></asset>', "does not compile: .*a.png"),
+        ('<asset><model name="m" file="model.xml"/></asset>', "attaches 'model.xml' to itself"),
         ("<nonsense/>", "does not compile: .*nonsense.*line 1"),
         ("<worldbody>", "is not well-formed XML: mismatched tag"),
     ],
@@ -78,29 +83,46 @@ WITH_MESH = """<mujoco><compiler meshdir="parts"/>
   <geom type="mesh" mesh="m" material="skin" pos="0.1 0 0" euler="10 20 30"/></body></worldbody></mujoco>"""
 
 
-def test_meshes_become_text_and_textures_a_plain_colour(tmp_path: Path) -> None:
-    import matplotlib.image
-
-    path = write(tmp_path, WITH_MESH)
-    write(tmp_path, TETRAHEDRON, "parts/m.obj")
-    matplotlib.image.imsave(tmp_path / "parts" / "t.png", np.zeros((4, 4, 3)))
-    text = read_model(path, ("h",))
-    assert "m.obj" not in text and "t.png" not in text
-    model = load_model(text)  # from the text only
+def test_a_model_with_files_is_the_same_model_without_them(tmp_path: Path) -> None:
+    """Nothing is rounded, and pictures, which do not change the dynamics, are left out."""
+    exact = "0.123456789012345"
+    text = WITH_MESH.replace("<joint ", f'<joint damping="{exact}" ')
+    path = write(tmp_path / "models", text)
+    write(tmp_path / "models", TETRAHEDRON, "parts/m.obj")
+    matplotlib.image.imsave(tmp_path / "models" / "parts" / "t.png", np.zeros((4, 4, 3)))
     original = mujoco.MjModel.from_xml_path(str(path))
-    for field in ("body_mass", "body_inertia", "body_ipos", "geom_pos", "geom_quat"):
-        np.testing.assert_allclose(getattr(model, field), getattr(original, field), rtol=1e-5, atol=1e-6)
+    source = read_model(path, ("h",))
+    assert list(source.contents) == ["model.xml", "parts/m.obj"]
+    shutil.rmtree(tmp_path / "models")
+    model = load_model(source)
+    assert model.dof_damping[0] == float(exact)
+    model.opt.disableflags = original.opt.disableflags  # the silent reset of diverged states
+    assert different_fields(original, model) == []
+    original.dof_damping[0] += 1e-15
+    assert different_fields(original, model) == ["dof_damping"]
 
 
-def test_an_asset_folder_applies_to_included_files(tmp_path: Path) -> None:
-    """MuJoCo applies the main file's meshdir to an included file's meshes."""
-    write(tmp_path, '<mujoco><asset><mesh name="m" file="m.obj"/></asset></mujoco>', "models/part.xml")
-    write(tmp_path, TETRAHEDRON, "m.obj")
-    path = write(
-        tmp_path, '<mujoco><compiler meshdir=".."/><include file="part.xml"/></mujoco>', "models/model.xml"
-    )
-    with pytest.raises(PlanspaceError, match="'m.obj', outside its folder"):
+def test_meshes_may_lie_next_to_the_folder_of_the_model(tmp_path: Path) -> None:
+    """As in gymnasium-robotics and ROS: the main file's meshdir also holds for included files."""
+    write(tmp_path, '<mujoco><asset><mesh name="m" file="m.obj"/></asset></mujoco>', "mjcf/part.xml")
+    write(tmp_path, TETRAHEDRON, "meshes/m.obj")
+    text = """<mujoco><compiler meshdir="../meshes"/><include file="part.xml"/>
+      <worldbody><body><joint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+    path = write(tmp_path, text, "mjcf/model.xml")
+    source = read_model(path, root=tmp_path)
+    assert list(source.contents) == ["mjcf/model.xml", "meshes/m.obj", "mjcf/part.xml"]
+    assert load_model(source).nmesh == 1
+    with pytest.raises(PlanspaceError, match="'m.obj', outside the folder of the problem file. Move"):
         read_model(path)
+
+
+def test_attached_models_are_read(tmp_path: Path) -> None:
+    write(tmp_path, TWO_JOINTS, "arm/arm.xml")
+    text = """<mujoco><asset><model name="arm" file="arm/arm.xml"/></asset><worldbody>
+      <frame pos="0 0 1"><attach model="arm" prefix="left_"/></frame>
+      <attach model="arm" prefix="right_"/></worldbody></mujoco>"""
+    model = load_model(read_model(write(tmp_path, text)))
+    assert [model.joint(i).name for i in range(4)] == ["left_a", "left_b", "right_a", "right_b"]
 
 
 def test_another_format_is_rejected(tmp_path: Path) -> None:
@@ -120,9 +142,65 @@ def test_compiling_prints_nothing(
     assert capfd.readouterr() == ("", "") and not Path("MUJOCO_LOG.TXT").exists()
 
 
-def test_a_joint_can_be_locked_in_a_model_with_keyframes(tmp_path: Path) -> None:
-    with_key = TWO_JOINTS.replace("</mujoco>", '<keyframe><key qpos="1 2" ctrl="0 0"/></keyframe></mujoco>')
-    assert load_model(read_model(write(tmp_path, with_key), ("a",))).nq == 1
-    coupled = TWO_JOINTS.replace("</mujoco>", '<equality><joint joint1="a" joint2="b"/></equality></mujoco>')
-    with pytest.raises(PlanspaceError, match="the joints b cannot be locked: .*Add them to the joints"):
-        read_model(write(tmp_path, coupled), ("a",))
+def test_unnamed_joints_are_named_after_their_bodies(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><body name="trunk"><freejoint/><geom size="0.1"/>
+      <body name="leg"><joint axis="1 0 0"/><joint axis="0 1 0"/><geom size="0.1"/></body>
+      <body><joint/><geom size="0.1"/></body></body></worldbody></mujoco>"""
+    model = load_model(read_model(write(tmp_path, text)))
+    assert [model.joint(i).name for i in range(4)] == ["trunk", "leg", "leg_2", "body3"]
+
+
+GRIPPER = """<mujoco><compiler angle="radian"/><worldbody><body name="arm" euler="0.3 0.2 0.1" pos="1 2 3">
+    <joint name="lift" type="slide" axis="0 0 1"/><joint name="turn" axis="1 1 0" pos="0.1 0 0" ref="0.4"/>
+    <joint name="wrist" axis="0 0 1" pos="0 0.2 0"/><geom size="0.1" pos="0.1 0 0"/>
+    <body name="left" pos="0.5 0 0"><joint name="f1" type="slide" axis="0 1 0"/><geom size="0.02"/></body>
+    <body name="right" pos="0.5 0 0"><joint name="f2" type="slide" axis="0 1 0"/><geom size="0.02"/>
+      <body name="tip" quat="0.9 0 0.1 0.3"><joint name="ball" type="ball" pos="0 0 0.05"/>
+        <geom type="box" size="0.01 0.02 0.03" pos="0.1 0 0"/></body></body></body></worldbody>
+  <tendon><fixed name="split"><joint joint="f1" coef="0.5"/><joint joint="f2" coef="0.5"/></fixed></tendon>
+  <equality><joint name="same" joint1="f1" joint2="f2"/></equality>
+  <actuator><motor name="m" joint="wrist" gear="10"/><position name="grip" tendon="split"/></actuator>
+  <sensor><tendonpos tendon="split"/><actuatorfrc actuator="grip"/><jointpos joint="wrist"/></sensor>
+  <keyframe><key name="home" qpos="0.1 0.7 -0.2 0.03 0.03 0.5 0.5 0.5 0.5"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("moving", [("wrist",), ("turn",), ("lift", "wrist"), ("lift", "turn"), ("ball",)])
+def test_held_joints_keep_the_pose_of_a_keyframe(moving: tuple[str, ...], tmp_path: Path) -> None:
+    whole = mujoco.MjModel.from_xml_string(GRIPPER)
+    source = read_model(write(tmp_path, GRIPPER), moving, keyframe="home")
+    part = load_model(source)
+    assert [part.joint(i).name for i in range(part.njnt)] == list(moving)
+    assert (part.ntendon, part.neq, part.nkey) == (0, 0, 0)
+    assert part.nu == ("wrist" in moving)
+    a, b = mujoco.MjData(whole), mujoco.MjData(part)
+    a.qpos[:] = whole.key_qpos[0]
+    for name in moving:
+        b.joint(name).qpos[:] = a.joint(name).qpos = a.joint(name).qpos + (0.3 if name != "ball" else 0.0)
+    mujoco.mj_kinematics(whole, a)
+    mujoco.mj_kinematics(part, b)
+    np.testing.assert_allclose(b.xpos, a.xpos, atol=1e-12)
+    np.testing.assert_allclose(b.xmat, a.xmat, atol=1e-12)
+    np.testing.assert_allclose(b.geom_xpos, a.geom_xpos, atol=1e-12)
+
+
+def test_what_cannot_be_held_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, GRIPPER)
+    with pytest.raises(PlanspaceError, match="the tendon 'split' couples 'f2', which is held, to 'f1'"):
+        read_model(path, ("wrist", "f1"))
+    with pytest.raises(UsageError, match="unknown keyframe 'hom'. Did you mean 'home'"):
+        read_model(path, ("wrist",), keyframe="hom")
+    with pytest.raises(UsageError, match="the joint 'ball' has 4 positions, got"):
+        read_model(path, ("wrist",), hold={"ball": (0.0,)})
+    with pytest.raises(UsageError, match="'wrist' is in both joints and held"):
+        read_model(path, ("wrist",), hold=["wrist"])
+
+
+def test_a_free_body_is_held_only_if_the_user_says_so(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1"/>
+      <body><joint name="leg"/><geom size="0.1" pos="0 0 -1"/></body></body></worldbody></mujoco>"""
+    path = write(tmp_path, text)
+    with pytest.raises(PlanspaceError, match=r"free joint 'trunk' is not in joints.* `held: \[trunk\]`"):
+        read_model(path, ("leg",))
+    for hold in ("all", ["trunk"], {"trunk": (0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0)}):
+        model = load_model(read_model(path, ("leg",), hold=hold))
+        assert (model.nq, model.body_pos[1, 2]) == (1, 2.0 if isinstance(hold, dict) else 1.0)

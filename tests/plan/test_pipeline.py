@@ -80,7 +80,7 @@ def test_states_while_holding_must_be_valid() -> None:
       <body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
       <actuator><motor joint="x" ctrllimited="true" ctrlrange="-20 20"/></actuator></mujoco>"""
     problem = replace(
-        load_problem("pendulum"), mjcf=wall, joints=("x",), start=Box((0.0, 0.0), (0.0, 0.0)),
+        load_problem("pendulum"), model=wall, joints=("x",), start=Box((0.0, 0.0), (0.0, 0.0)),
         goal=Box((0.95, 0.0), (0.95, 0.0)), goal_weights=(1.0, 0.0), tolerance=0.05,
         position_bounds=(("x", (-1.0,), (1.0,)),), sample_velocity=(5.0,),
     )  # fmt: skip

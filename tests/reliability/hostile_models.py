@@ -15,16 +15,19 @@ TABLE, HISTORY = '<numeric name="n" size="900000"/>', '<jointpos nsample="900000
 BUILT_IN = '<mesh builtin="supertorus" params="250 0.5 1 1"/>'
 TEXTURE = '<texture type="2d" builtin="flat" width="8192" height="8192"/>'
 MODELS = {
-    "include outside": ('<include file="../secret.xml"/>', "outside its folder"),
-    "include absolute": ('<include file="/etc/passwd"/>', "outside its folder"),
-    "include file:": ('<include file="file:///etc/passwd"/>', "outside its folder"),
-    "include http:": ('<include file="http://localhost/m.xml"/>', "outside its folder"),
+    "include outside": ('<include file="../secret.xml"/>', "outside the folder of the problem"),
+    "include absolute": ('<include file="/etc/passwd"/>', "outside the folder of the problem"),
+    "include file:": ('<include file="file:///etc/passwd"/>', "outside the folder of the problem"),
+    "include http:": ('<include file="http://localhost/m.xml"/>', "outside the folder of the problem"),
     "include itself": ('<include file="model.xml"/>', "twice, or in a circle"),
     "include in a circle": ('<include file="loop.xml"/>', "twice, or in a circle"),
-    "a link out": ('<include file="link.xml"/>', "outside its folder"),
-    "mesh outside": ('<asset><mesh file="../m.stl"/></asset>', "outside its folder"),
-    "mesh folder outside": ('<compiler meshdir="/etc"/><asset><mesh file="m.stl"/></asset>', "outside its"),
-    "texture outside": ('<asset><texture type="2d" file="/etc/t.png"/></asset>', "outside its folder"),
+    "a link out": ('<include file="link.xml"/>', "outside the folder of the problem"),
+    "mesh outside": ('<asset><mesh file="../m.stl"/></asset>', "outside the folder of the problem"),
+    "mesh folder outside": (
+        '<compiler meshdir="/etc"/><asset><mesh file="m.stl"/></asset>',
+        "outside the folder",
+    ),
+    "height field outside": ('<asset><hfield file="/etc/t.png"/></asset>', "outside the folder"),
     "plugin": ('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>', "does not support plugins"),
     "plugin element": ("<worldbody><body><plugin/></body></worldbody>", "does not support plugins"),
     "nested copies": (f"<worldbody>{NESTED_COPIES}</worldbody>", "replicated elements"),
@@ -109,11 +112,11 @@ MODELS = {
     "MSH with 10^9 points": ('<asset><mesh file="points.msh"/></asset>', "its header declares"),
     "mesh file that is a pipe": ('<asset><mesh file="pipe.stl"/></asset>', "not a regular file"),
     "image files with many pixels": (
-        f'<asset>{2 * """<texture type="2d" file="wide.png"/>"""}</asset>',
+        f'<asset>{2 * """<hfield file="wide.png"/>"""}</asset>',
         "images of 72000000 pixels",
     ),
     "large file referred to many times": (f"<asset>{5 * LARGE}</asset>", "files of 3145728.0 bytes"),
-    "image file with 10^12 pixels": ('<asset><texture type="2d" file="pixels.png"/></asset>', "pixels"),
+    "image file with 10^12 pixels": ('<asset><hfield file="pixels.png"/></asset>', "pixels"),
 }
 BOMB = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]><mujoco model="&b;"/>'
 OUTSIDE = '<!DOCTYPE m [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco model="&a;"/>'

@@ -11,8 +11,7 @@ from planspace.tasks.catalog import TASKS
 def episode(task_name: str, states: np.ndarray) -> Demos:
     task = TASKS[task_name]
     model, space = task.compile()
-    mjcf = task.mjcf
-    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf)
+    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source)
     times = 0.04 * np.arange(len(states))
     controls = np.zeros((len(states) - 1, model.nu))
     return Demos.from_episodes(

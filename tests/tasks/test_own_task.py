@@ -66,7 +66,8 @@ def test_everything_else_has_a_default_from_the_model() -> None:
 
 def test_the_model_can_be_a_file(tmp_path: Path) -> None:
     (tmp_path / "model.xml").write_text(MODEL)
-    assert replace(TASK, model=tmp_path / "model.xml").mjcf == TASK.mjcf == MODEL
+    assert replace(TASK, model=tmp_path / "model.xml").source == TASK.source
+    assert TASK.source.text == MODEL
     assert replace(TASK, model=str(tmp_path / "model.xml")).hash == TASK.hash
     with pytest.raises(PlanspaceError, match=r"nothing\.xml"):
         ps.make_env(replace(TASK, model=tmp_path / "nothing.xml"))

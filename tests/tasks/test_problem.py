@@ -38,7 +38,7 @@ def test_shipped_problems_load_and_start_in_bounds(name: str, rng: np.random.Gen
 def test_a_copied_file_is_the_same_problem_with_another_name(tmp_path: Path) -> None:
     mine, shipped = load_problem(write(tmp_path, GOOD)), load_problem("cartpole-swingup")
     assert mine.name == "mine"
-    assert (mine.mjcf, mine.start, mine.goal) == (shipped.mjcf, shipped.start, shipped.goal)
+    assert (mine.source, mine.start, mine.goal) == (shipped.source, shipped.start, shipped.goal)
 
 
 def test_a_random_goal_is_drawn_from_its_box(rng: np.random.Generator) -> None:
@@ -84,7 +84,11 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("tolerance: 0.1", "tolerance: 0.1\ncost: speed", "unknown cost 'speed'"),
         ("tolerance: 0.1", "tolerance: 0.1\nhold: maybe", "hold: expected true or false, got 'maybe'"),
         ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: some", "none, all, or a list of pairs"),
-        ("tolerance: 0.1", "tolerance: 0.1\nforbidden_contacts: [[cart, floor]]", "unknown geom 'floor'"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\nforbidden_contacts: [[cart, floor]]",
+            "unknown geom or body",
+        ),
         ("tolerance: 0.1", "tolerance: 0.1\ngoal_weights: [1.0]", "goal_weights must have 4 numbers, got 1"),
         ("high: [0.2,", "hihg: [0.2,", "start: unknown key of a box 'hihg'. Did you mean 'high'"),
         ("start: {low: [-0.2, -3.14, -0.1, -0.1], ", "start: {", "start: the key 'low' is missing"),
@@ -231,7 +235,7 @@ def test_a_goal_box_on_a_circle_behind_a_ball_stays_on_the_circle() -> None:
       <actuator><motor joint="h" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
     low = (1.0, 0.0, 0.0, 0.0, -3.0, 0.0, 0.0, 0.0, 0.0)
     high = (*low[:4], 3.0, *low[5:])
-    problem = replace(load_problem("pendulum"), mjcf=mjcf, joints=("b", "h"), goal=Box(low, high))
+    problem = replace(load_problem("pendulum"), model=mjcf, joints=("b", "h"), goal=Box(low, high))
     goal = problem.draw_goal(problem.compile()[1], np.random.default_rng(0))
     inside = np.array([1.0, 0, 0, 0, 2.9, 0, 0, 0, 0])
     assert goal.distance(inside) == pytest.approx(0.0, abs=1e-12)

@@ -98,7 +98,7 @@ class Render:
         config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
         demos = load_demos(self.folder)
         if self.untrusted:
-            check_compiles(demos.info.mjcf)
+            check_compiles(demos.info.source or "")
         render_demos(demos, self.out, config)
         print(self.out)
 

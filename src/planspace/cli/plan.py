@@ -1,5 +1,6 @@
 """`planspace plan`."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -96,6 +97,8 @@ class Plan:
         problem = load_problem(self.problem, untrusted=self.untrusted)
         if self.cost is not None:
             problem = replace(problem, cost=self.cost)
+        if held := [name for name, _ in problem.source.held]:
+            print(f"held, because they are not in joints: {', '.join(held)}", file=sys.stderr)
         config = self.config
         if self.no_polish:
             config = replace(config, polish=replace(config.polish, max_iterations=0))

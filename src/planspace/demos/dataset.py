@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +147,7 @@ class Demos:
                 if c in quaternions and columns[new : new + 4] == [c, c + 1, c + 2, c + 3]
             ),
             joints=(),
-            mjcf="",
+            source=None,
         )
         return replace(self, info=info, states=self.states[:, columns], goals=self.goals[:, columns])
 
@@ -194,7 +194,7 @@ def content_hash(info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]]) 
         info: the meaning of the states.
         parts: returns an array, given its name, as consecutive parts of any length.
     """
-    digest = hashlib.sha256(json_hash(asdict(info)).encode())
+    digest = hashlib.sha256(json_hash(info.plain()).encode())
     for name in ("states", "controls", "times", "offsets", "goals"):
         for part in parts(name):
             digest.update(np.ascontiguousarray(part, dtype=int if name == "offsets" else float).data)

@@ -104,7 +104,7 @@ def validate(folder: Path, *, replay_controls: bool, untrusted: bool = False) ->
     """
     demos = _open(folder)
     if replay_controls and untrusted:
-        check_compiles(demos.info.mjcf)
+        check_compiles(demos.info.source or "")
     worst = 0.0
     for first, part in progress_over(_parts(demos), "validate", unit="shard"):
         _check_numbers(part, first, folder)

@@ -1,6 +1,7 @@
 """A dataset on disk: immutable shards under one sealed manifest, written one shard at a time.
 
 DIR/manifest.json              what the states mean, the model, and each shard with its SHA-256
+DIR/model/...                  the files of a model that has more than one
 DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
 DIR/log.jsonl                  dates and wall times; not part of any hash
 """
@@ -20,7 +21,7 @@ from planspace.demos.manifest import (
     write_manifest,
 )
 from planspace.demos.shards import read_shard, shard_name, write_shard
-from planspace.demos.state_info import StateInfo
+from planspace.demos.state_info import MODEL_FOLDER, StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import make_folder
@@ -54,6 +55,8 @@ class DemoFolder:
         """
         self.path = make_folder(path)
         self._manifest = Manifest(info, settings)
+        if info.source is not None and not info.source.is_text:
+            info.source.write(path / MODEL_FOLDER)
         if (path / MANIFEST).exists():
             found = read_manifest(path)
             saved, plain = upgrade(found.settings), json.loads(json.dumps(settings))

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
-from planspace.demos.state_info import StateInfo, parse_info
+from planspace.demos.state_info import MODEL_FOLDER, StateInfo, parse_info
 from planspace.errors import PlanspaceError
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
@@ -82,7 +82,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise PlanspaceError(f"{folder} {what}. `planspace plan` and `planspace demos import` make datasets.")
     found = read_description(file, kind="demos", schema=SCHEMA)
     with reject_malformed(file):
-        info = parse_info(found["info"])
+        info = parse_info(found["info"], folder / MODEL_FOLDER)
         settings: DatasetSettings = found["settings"]
         next_index, shards = found["next_index"], found["shards"]
         if not isinstance(settings, dict) or type(next_index) is not int:
@@ -102,7 +102,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
         {
             "schema": SCHEMA,
             "kind": "demos",
-            "info": asdict(manifest.info),
+            "info": manifest.info.plain(),
             "settings": manifest.settings,
             "next_index": manifest.next_index,
             "shards": [asdict(shard) for shard in manifest.shards],

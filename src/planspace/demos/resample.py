@@ -61,7 +61,7 @@ def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> f
     step = float(np.median(all_steps))
     if _even(all_steps, step):
         return None
-    if info.mjcf:
+    if info.source is not None:
         model_step = float(info.compile()[0].opt.timestep)
         step = max(1, round(step / model_step)) * model_step
     return step

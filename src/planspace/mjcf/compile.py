@@ -1,58 +1,120 @@
-"""Compiling MJCF text, and silencing MuJoCo's warnings."""
+"""Compiling models, and silencing MuJoCo's warnings."""
 
+import contextlib
+import copy
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
 
 import mujoco
 
 from planspace.errors import PlanspaceError, unknown
-from planspace.mjcf.model_check import check_self_contained
+from planspace.mjcf.hold import hold_joints
+from planspace.mjcf.names import name_elements
+from planspace.mjcf.references import referred_files
+from planspace.mjcf.source import ModelSource, as_source
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError)
 """What MuJoCo raises for a model that it rejects."""
 
 GeomPairs = tuple[tuple[str, str], ...]
-"""Pairs of geom names."""
+"""Pairs of names of geoms or bodies."""
 
 
-def load_model(xml: str, watched: GeomPairs = ()) -> mujoco.MjModel:
-    """Compile a self-contained MJCF text, with MuJoCo's silent reset of diverged states turned off.
+def load_model(source: ModelSource | str, watched: GeomPairs = ()) -> mujoco.MjModel:
+    """Compile a model, with MuJoCo's silent reset of diverged states turned off.
 
     Args:
-        xml: the model.
-        watched: pairs of geoms; each pair gets a contact sensor. These are the last sensors of the model and
-            do not change its dynamics.
+        source: the model's files, or the MJCF text of a model in one file.
+        watched: pairs of geoms or bodies; each pair gets a contact sensor. These are the last sensors of the
+            model and do not change its dynamics.
 
     Raises:
-        PlanspaceError: the model refers to files, requests too much, or MuJoCo rejects it; then the message
-            quotes MuJoCo's.
+        PlanspaceError: a file of the model is missing, it requests too much, or MuJoCo rejects it; then the
+            message quotes MuJoCo's.
     """
-    check_self_contained(xml)
+    return copy.copy(_compiled(as_source(source), watched))
+
+
+@lru_cache(maxsize=4)
+def _compiled(source: ModelSource, watched: GeomPairs) -> mujoco.MjModel:
     try:
-        with compiling():
-            if not watched:
-                model = mujoco.MjModel.from_xml_string(xml)
-            else:
-                spec = mujoco.MjSpec.from_string(xml)
-                _watch(spec, watched)
-                model = spec.compile()
+        with open_spec(source) as spec:
+            _watch(spec, watched)
+            model = spec.compile()
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model
 
 
+@contextmanager
+def open_spec(source: ModelSource) -> Iterator[mujoco.MjSpec]:
+    """Read a model as MuJoCo's editable specification, with its joints held and all elements named.
+
+    Args:
+        source: the model's files.
+
+    Yields:
+        The specification, to be compiled inside the block.
+
+    Raises:
+        PlanspaceError: a file of the model is missing, or it requests too much.
+        ValueError: MuJoCo cannot read it.
+    """
+    referred_files(source.main, source.contents.get, "the model")  # checks what MuJoCo will read
+    with read_spec(source) as spec:
+        name_elements(spec)
+        if source.held:
+            hold_joints(spec, dict(source.held))
+        yield spec
+
+
+@contextmanager
+def read_spec(source: ModelSource) -> Iterator[mujoco.MjSpec]:
+    """Read a model as MuJoCo's editable specification; pictures are replaced by a plain colour."""
+    with compiling(), contextlib.ExitStack() as stack:
+        if source.files:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="planspace-model-")))
+            source.write(folder)
+            spec = mujoco.MjSpec.from_file(str(folder / source.main))
+        else:
+            spec = mujoco.MjSpec.from_string(source.text)
+        leave_out_pictures(spec)
+        yield spec
+
+
+def leave_out_pictures(spec: mujoco.MjSpec) -> None:
+    """Replace textures from files by a plain colour; they do not change the dynamics."""
+    for texture in [t for t in spec.textures if t.file or any(t.cubefiles)]:
+        texture.file, texture.cubefiles = "", [""] * 6
+        texture.builtin, texture.width, texture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 8, 8
+        texture.rgb1 = texture.rgb2 = [0.8, 0.8, 0.8]
+
+
 def _watch(spec: mujoco.MjSpec, pairs: GeomPairs) -> None:
-    names = [geom.name for geom in spec.geoms if geom.name]
-    geom, found_once = mujoco.mjtObj.mjOBJ_GEOM, [1, 0, 1]  # data: found; no reduction; one contact
     for number, pair in enumerate(pairs):
-        for name in pair:
-            if name not in names:
-                raise unknown("geom", name, names)
         sensor = spec.add_sensor(name=f"planspace_watch_{number}", type=mujoco.mjtSensor.mjSENS_CONTACT)
-        sensor.objtype, sensor.objname, sensor.reftype, sensor.refname = geom, pair[0], geom, pair[1]
-        sensor.intprm = found_once
+        watch_pair(spec, sensor, pair)
+        sensor.intprm = [1, 0, 1]  # data: found; no reduction; one contact
+
+
+def watch_pair(spec: mujoco.MjSpec, sensor: mujoco.MjsSensor, pair: tuple[str, str]) -> None:
+    """Point a sensor at two geoms or bodies.
+
+    Raises:
+        UsageError: the model has no geom and no body of a name.
+    """
+    kinds = {body.name: mujoco.mjtObj.mjOBJ_BODY for body in spec.bodies if body.name}
+    kinds |= {geom.name: mujoco.mjtObj.mjOBJ_GEOM for geom in spec.geoms if geom.name}
+    for name in pair:
+        if name not in kinds:
+            raise unknown("geom or body", name, kinds)
+    sensor.objtype, sensor.objname = kinds[pair[0]], pair[0]
+    sensor.reftype, sensor.refname = kinds[pair[1]], pair[1]
 
 
 @contextmanager

@@ -7,12 +7,13 @@ from pathlib import Path
 
 from planspace.errors import PlanspaceError
 from planspace.mjcf.model_budget import CELLS, MAX_DEPTH, MAX_TOTALS, check_budget
-from planspace.storage.checks import check_file, explain_read
 
 MAX_ASSET_BYTES = 64 << 20
 """Size of one file."""
 MAX_ASSETS_BYTES = 256 << 20
 """Total size of a model's files; a file that is referred to twice counts twice."""
+HEAD_BYTES = 84
+"""Bytes of a file that hold its header."""
 FORBIDDEN = ("plugin", "extension")
 """Elements that are not supported: a plugin has a state of its own, which is not part of the robot's."""
 FILE_ATTRIBUTES = {"file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back"))}
@@ -47,54 +48,34 @@ def parse_model(text: str, where: str) -> ElementTree.Element:
     return root
 
 
-def check_self_contained(text: str) -> None:
-    """Check that a model refers to no file and passes `parse_model`.
-
-    Raises:
-        PlanspaceError: the model does not pass.
-    """
-    for element in parse_model(text, "the model").iter():
-        if element.tag == "include" or FILE_ATTRIBUTES & element.attrib.keys():
-            name = next((element.attrib[key] for key in FILE_ATTRIBUTES & element.attrib.keys()), "")
-            raise PlanspaceError(
-                f"the model refers to the file {name[:80]!r}; a model inside a dataset or problem must be "
-                "self-contained."
-            )
-
-
-def check_assets(paths: Iterable[Path], where: str) -> None:
+def check_assets(files: Iterable[tuple[str, bytes]], where: str) -> None:
     """Check the sizes of mesh and image files, as stored and as declared in their headers.
 
     Args:
-        paths: the files; one that the model refers to twice is listed twice.
+        files: path and content of each file; one that the model refers to twice comes twice.
         where: the model's name, for messages.
 
     Raises:
-        PlanspaceError: a file is missing or does not have its declared size, or all together are too large.
+        PlanspaceError: a file does not have its declared size, or one or all together are too large.
     """
     sizes = pixels = 0
-    for path in paths:
-        size, head = _read_head(path)
-        wanted = _DECLARED_SIZE.get(path.suffix.lower(), lambda _: None)(head)
-        if wanted is not None and wanted != size:
-            raise PlanspaceError(f"{path} is damaged: it has {size} bytes, its header declares {wanted}.")
-        sizes, pixels = sizes + size, pixels + _num_pixels(head)
+    for name, data in files:
+        wanted = _DECLARED_SIZE.get(Path(name).suffix.lower(), lambda _: None)(data[:HEAD_BYTES])
+        if wanted is not None and wanted != len(data):
+            raise PlanspaceError(
+                f"{where}: {name} is damaged: it has {len(data)} bytes, its header declares {wanted}."
+            )
+        sizes, pixels = sizes + len(data), pixels + _num_pixels(data[:HEAD_BYTES])
         if pixels > MAX_TOTALS[CELLS]:
             raise PlanspaceError(
-                f"{where} refers to images of {pixels} pixels, including {path}; the limit is "
+                f"{where} refers to images of {pixels} pixels, including {name}; the limit is "
                 f"{MAX_TOTALS[CELLS]}."
             )
         if sizes > MAX_ASSETS_BYTES:
             raise PlanspaceError(
-                f"{where} refers to files of {sizes} bytes, including {path}; the limit is "
+                f"{where} refers to files of {sizes} bytes, including {name}; the limit is "
                 f"{MAX_ASSETS_BYTES}."
             )
-
-
-def _read_head(path: Path) -> tuple[int, bytes]:
-    check_file(path, most=MAX_ASSET_BYTES, may_be_link=True)  # it lies in the model's folder
-    with explain_read(path), open(path, "rb") as file:
-        return path.stat().st_size, file.read(84)
 
 
 class _BoundedTreeBuilder(ElementTree.TreeBuilder):

@@ -1,61 +1,65 @@
-"""Reading model files: includes and meshes are merged into one text, and joints can be locked."""
+"""Reading model files: the main file, the files that it refers to, and which joints are held."""
 
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from planspace.errors import PlanspaceError, unknown
-from planspace.mjcf.compile import MUJOCO_ERRORS, compiling
-from planspace.mjcf.model_budget import check_budget
-from planspace.mjcf.model_check import FILE_ATTRIBUTES, check_assets, parse_model
+from planspace.errors import PlanspaceError, UsageError, quoted, unknown
+from planspace.mjcf.compile import MUJOCO_ERRORS, compiling, leave_out_pictures, open_spec
+from planspace.mjcf.hold import joint_positions, reference_positions
+from planspace.mjcf.model_check import MAX_ASSET_BYTES
+from planspace.mjcf.references import referred_files
+from planspace.mjcf.same_model import different_fields
+from planspace.mjcf.source import Hold, ModelSource, outside
 from planspace.storage.files import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
 
 
-def read_model(path: Path, joints: Sequence[str] | None = None) -> str:
-    """Read a model file as one self-contained MJCF text.
+def read_model(
+    path: Path,
+    joints: Sequence[str] | None = None,
+    *,
+    root: Path | None = None,
+    hold: Hold = (),
+    keyframe: str = "",
+) -> ModelSource:
+    """Read a model with all files that it refers to.
 
     Args:
-        path: the MJCF file; includes and meshes are merged into the text, textures from files are left out.
-        joints: names of the joints that can move. The others are locked at the model's reference pose: they
-            are removed together with their actuators and sensors. None keeps all joints.
+        path: the MJCF file.
+        joints: names of the joints that move; None moves all. The others are held: slides, hinges and balls
+            without a word, a free joint only if `hold` names it.
+        root: the folder that holds every file of the model; by default that of the MJCF file.
+        hold: joints that are held, with or without their positions.
+        keyframe: keyframe of the model that gives the positions of held joints; by default the reference
+            pose.
 
     Raises:
-        PlanspaceError: the file cannot be read or does not compile (MuJoCo's message gives the line), or it
-            refers to a file outside its folder or to one that text cannot hold (a height field, a skin).
-        UsageError: a joint is not in the model.
+        PlanspaceError: a file cannot be read, lies outside the root folder or does not compile (MuJoCo's
+            message gives the line), or a joint cannot be held.
+        UsageError: a joint or the keyframe is not in the model.
     """
-    text, files = read_text(path), _referred_files(path)
-    check_assets((file for file in files if file.exists()), str(path))  # the places where each file may be
+    root = (root or path.parent).absolute()
+    main = os.path.relpath(path.absolute(), root).replace(os.sep, "/")
+    text = read_text(path)
+    files = referred_files(main, _reader(root, path, main), str(path))
+    source = ModelSource(text, main, tuple(sorted(files.items())))
     try:
-        with compiling():
-            spec = mujoco.MjSpec.from_file(str(path)) if files else mujoco.MjSpec.from_string(text)
-            known = [joint.name for joint in spec.joints]
-            for name in joints or ():
-                if name not in known:
-                    raise unknown("joint", name, known)
-            locked = [name for name in known if joints is not None and name not in joints]
-            if not files and not locked:
-                spec.compile()
-                return text
-            _merge_files(spec)
+        with open_spec(source) as spec:
+            model = spec.compile()
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
-    try:
-        with compiling():
-            for name in locked:
-                _lock(spec, name)
-            spec.compile()
-            return spec.to_xml()
-    except MUJOCO_ERRORS as error:
-        raise PlanspaceError(
-            f"{path}: the joints {', '.join(locked)} cannot be locked: {' '.join(str(error).split())}. Add "
-            "them to the joints of the problem, or remove what refers to them from the model."
-        ) from error
+    if files:
+        _compare(path, model)
+    positions = _held_positions(path, model, joints, hold, keyframe)
+    if not positions:
+        return source
+    return _held(path, source, positions)
 
 
 def read_text(path: Path) -> str:
@@ -70,87 +74,84 @@ def read_text(path: Path) -> str:
         raise PlanspaceError(f"{path} is not a text file: {error}.") from error
 
 
-def _referred_files(path: Path) -> list[Path]:
-    """The files that a model refers to, directly or through included files.
+def _reader(root: Path, path: Path, main: str):
+    """A function that reads the files of a model below its root folder."""
+    real_root = os.path.realpath(root)
+
+    @cache
+    def read(name: str) -> bytes | None:
+        file = root / name
+        if name != main and not Path(os.path.realpath(file)).is_relative_to(real_root):
+            raise outside(name, str(path))
+        return read_bytes(file, most=MAX_ASSET_BYTES, may_be_link=True) if file.exists() else None
+
+    return read
+
+
+def _compare(path: Path, model: mujoco.MjModel) -> None:
+    """Check that the copied files make the same model as the user's own.
 
     Raises:
-        PlanspaceError: a file is outside the model's folder, is included twice, or cannot become text.
+        PlanspaceError: a number of the model differs.
     """
-    folder = path.parent.resolve()
-    roots = {path.resolve(): _root(path)}
-    waiting, included_by = [(path, roots[path.resolve()])], []
-    while waiting:
-        file, root = waiting.pop()
-        for element in root.iter("include"):
-            name = element.get("file", "")
-            included = _inside(file, folder, "", name)
-            if included in roots:
-                raise PlanspaceError(f"{file} includes {name!r} twice, or in a circle.")
-            roots[included] = _root(included)
-            included_by.append((element, roots[included]))
-            waiting.append((included, roots[included]))
-    # MuJoCo takes asset folders from any file's compiler element for all of them
-    compilers = [element.attrib for root in roots.values() for element in root.iter("compiler")]
-    referred = [file for file in roots if file != path.resolve()]
-    for file, root in roots.items():
-        for element in root.iter():
-            for attribute in FILE_ATTRIBUTES & element.attrib.keys():
-                if element.tag == "include":
-                    continue
-                name = element.attrib[attribute]
-                if element.tag not in ("mesh", "texture"):
-                    raise PlanspaceError(
-                        f"{file} refers to {name!r}: a dataset holds its model as text, which cannot hold "
-                        f"the file of an element <{element.tag}>."
-                    )
-                key = {"mesh": "meshdir", "texture": "texturedir"}[element.tag]
-                places = {""} | {c.get(k, "") for c in compilers for k in (key, "assetdir")}
-                referred += [_inside(file, folder, place, name) for place in sorted(places)]
-    for element, root in included_by:
-        element.extend(root)
-    check_budget(roots[path.resolve()], str(path))  # all files together
-    return referred
+    with compiling():
+        spec = mujoco.MjSpec.from_file(str(path))
+        leave_out_pictures(spec)
+        if different := different_fields(spec.compile(), model):
+            raise PlanspaceError(
+                f"{path}: a copy of its files makes another model, which differs in {', '.join(different)}. "
+                "Put all files of the model below one folder, with paths relative to it."
+            )
 
 
-def _root(path: Path) -> ElementTree.Element:
-    return parse_model(read_text(path), str(path))
+def _held_positions(
+    path: Path, model: mujoco.MjModel, joints: Sequence[str] | None, hold: Hold, keyframe: str
+) -> dict[str, tuple[float, ...]]:
+    """The joints that are held and their positions."""
+    pose = reference_positions(model)
+    for name in (*(joints or ()), *(() if hold == "all" else hold)):
+        if name not in pose:
+            raise unknown("joint", name, pose)
+    if keyframe:
+        keys = [model.key(i).name for i in range(model.nkey)]
+        if keyframe not in keys:
+            raise unknown("keyframe", keyframe, keys)
+        pose = joint_positions(model, model.key_qpos[keys.index(keyframe)])
+    left_out = [name for name in pose if joints is not None and name not in joints]
+    if hold != "all":
+        free = [n for n in left_out if model.joint(n).type[0] == mujoco.mjtJoint.mjJNT_FREE and n not in hold]
+        if free:
+            raise PlanspaceError(
+                f"{path}: the free joint {free[0]!r} is not in joints, so its body would hang in the air. "
+                f"Add it to joints, or write `held: [{free[0]}]` if the body is mounted."
+            )
+        if both := [name for name in hold if joints is not None and name in joints]:
+            raise UsageError(f"{path}: the joint {both[0]!r} is in both joints and held.")
+        left_out += [name for name in hold if name not in left_out]
+    given = hold if isinstance(hold, Mapping) else {}
+    return {name: _position(path, name, given.get(name, pose[name]), len(pose[name])) for name in left_out}
 
 
-def _inside(path: Path, folder: Path, place: str, name: str) -> Path:
-    file = (folder / place / name).resolve()
-    if ":" in name or not file.is_relative_to(folder):
-        raise PlanspaceError(f"{path} refers to {name!r}, outside its folder; copy it next to the model.")
-    return file
+def _position(path: Path, name: str, position: Sequence[float], size: int) -> tuple[float, ...]:
+    if len(position) != size or not np.isfinite(position).all():
+        raise UsageError(
+            f"{path}: held: the joint {name!r} has {size} position{'s' * (size > 1)}, got {quoted(position)}."
+        )
+    return tuple(float(x) for x in position)
 
 
-def _merge_files(spec: mujoco.MjSpec) -> None:
-    """Write the vertices of mesh files into the model, and replace texture files by a plain colour."""
-    model = spec.compile()
-    for mesh in [m for m in spec.meshes if m.file]:
-        i = model.mesh(mesh.name).id
-        first, count = model.mesh_vertadr[i], model.mesh_vertnum[i]
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.mesh_quat[i])  # MuJoCo moved the vertices to the mesh's frame
-        vertices = model.mesh_vert[first : first + count] @ rotation.reshape(3, 3).T + model.mesh_pos[i]
-        first, count = model.mesh_faceadr[i], model.mesh_facenum[i]
-        mesh.uservert = vertices.ravel().tolist()
-        mesh.userface = model.mesh_face[first : first + count].ravel().tolist()
-        mesh.file, mesh.scale = "", [1.0, 1.0, 1.0]
-        mesh.refpos, mesh.refquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-    for texture in [t for t in spec.textures if t.file or any(t.cubefiles)]:
-        texture.file, texture.cubefiles = "", [""] * 6
-        texture.builtin, texture.width, texture.height = mujoco.mjtBuiltin.mjBUILTIN_FLAT, 8, 8
-        texture.rgb1 = texture.rgb2 = [0.8, 0.8, 0.8]
-
-
-def _lock(spec: mujoco.MjSpec, joint: str) -> None:
-    """Remove a joint, its actuators and sensors, and all keyframes, which would no longer fit."""
-    for key in list(spec.keys):
-        spec.delete(key)
-    removed = [a.name for a in spec.actuators if a.target == joint]
-    for actuator in [a for a in spec.actuators if a.target == joint]:
-        spec.delete(actuator)
-    measured = {(mujoco.mjtObj.mjOBJ_JOINT, joint)} | {(mujoco.mjtObj.mjOBJ_ACTUATOR, a) for a in removed}
-    for sensor in [s for s in spec.sensors if (s.objtype, s.objname) in measured]:
-        spec.delete(sensor)
-    spec.delete(spec.joint(joint))
+def _held(path: Path, source: ModelSource, positions: dict[str, tuple[float, ...]]) -> ModelSource:
+    """The source with held joints, after a check that it compiles."""
+    held = ModelSource(source.text, source.main, source.files, tuple(positions.items()))
+    names = ", ".join(positions)
+    try:
+        with open_spec(held) as spec:
+            spec.compile()
+    except PlanspaceError as error:
+        raise PlanspaceError(f"{path}: {error}") from error
+    except MUJOCO_ERRORS as error:
+        raise PlanspaceError(
+            f"{path}: the joints {names} cannot be held: {' '.join(str(error).split())}. Add them to joints, "
+            "or remove what refers to them from the model."
+        ) from error
+    return held

@@ -1,42 +1,69 @@
 """Untrusted models: read and compiled in a subprocess with limits on memory and time.
 
 If the subprocess crashes, hangs or runs out of memory, this process raises an error. The subprocess returns
-text that compiles within the limits.
+files that compile within the limits.
 """
 
+import base64
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from planspace.errors import PlanspaceError, UsageError
+from planspace.mjcf.source import Hold, ModelSource, as_source
 
 MEMORY_BYTES = 4 << 30
 CPU_S, WALL_S = 60, 120
 
 
-def read_model_in_subprocess(path: Path, joints: Sequence[str] | None = None) -> str:
+def read_model_in_subprocess(
+    path: Path,
+    joints: Sequence[str] | None = None,
+    *,
+    root: Path | None = None,
+    hold: Hold = (),
+    keyframe: str = "",
+) -> ModelSource:
     """Call `read_model` in a subprocess.
 
     Raises:
         PlanspaceError: the model cannot be read, or does not compile within the limits.
         UsageError: a joint is not in the model.
     """
-    request = {"path": str(path.absolute()), "joints": None if joints is None else list(joints)}
-    return _run_subprocess(request, str(path))
+    request = {
+        "path": str(path.absolute()),
+        "joints": None if joints is None else list(joints),
+        "root": None if root is None else str(root.absolute()),
+        "hold": hold if isinstance(hold, str | Mapping) else list(hold),
+        "keyframe": keyframe,
+    }
+    return _decoded(_run_subprocess(request, str(path)))
 
 
-def check_compiles(xml: str) -> None:
-    """Check in a subprocess that a model's text compiles.
+def check_compiles(source: ModelSource | str) -> None:
+    """Check in a subprocess that a model compiles.
 
     Raises:
         PlanspaceError: the model does not compile within the limits.
     """
-    _run_subprocess({"xml": xml}, "the model")
+    _run_subprocess({"source": _encoded(as_source(source))}, "the model")
 
 
-def _run_subprocess(request: dict[str, object], where: str) -> str:
+def _encoded(source: ModelSource) -> dict[str, Any]:
+    files = {name: base64.b64encode(data).decode() for name, data in source.files}
+    return {"text": source.text, "main": source.main, "files": files, "held": source.held}
+
+
+def _decoded(found: dict[str, Any]) -> ModelSource:
+    files = tuple((name, base64.b64decode(data)) for name, data in found["files"].items())
+    held = tuple((name, tuple(position)) for name, position in found["held"])
+    return ModelSource(found["text"], found["main"], files, held)
+
+
+def _run_subprocess(request: dict[str, object], where: str) -> dict[str, Any]:
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planspace.mjcf.subprocess_model"],
@@ -53,7 +80,7 @@ def _run_subprocess(request: dict[str, object], where: str) -> str:
         ) from None
     if "error" in answer:
         raise (UsageError if answer["usage"] else PlanspaceError)(answer["error"])
-    return str(answer["text"])
+    return answer["source"]
 
 
 def _main() -> None:
@@ -69,11 +96,13 @@ def _main() -> None:
 
     try:
         if "path" in request:
-            text = read_model(Path(request["path"]), request["joints"])
+            root = request["root"] and Path(request["root"])
+            how = {"root": root, "hold": request["hold"], "keyframe": request["keyframe"]}
+            source = read_model(Path(request["path"]), request["joints"], **how)
         else:
-            text = request["xml"]
-            load_model(text)
-        answer = {"text": text}
+            source = _decoded(request["source"])
+            load_model(source)
+        answer = {"source": _encoded(source)}
     except PlanspaceError as error:
         answer = {"error": str(error), "usage": isinstance(error, UsageError)}
     json.dump(answer, out)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco.batch import Batch
 
+from planspace.mjcf.compile import open_spec, watch_pair
 from planspace.physics.space import StateSpace
 from planspace.tasks.problem import Problem
 
@@ -35,17 +36,18 @@ class Clearance:
             space: its state space.
             threads: physics threads; 0 uses all CPUs.
         """
-        spec = mujoco.MjSpec.from_string(problem.mjcf)
-        for number, geom in enumerate(spec.geoms):
-            geom.name = geom.name or f"planspace_geom_{number}"
-        pairs = problem.validity.pairs or collidable_pairs(spec.compile())
-        self.num_pairs = len(pairs) if len(pairs) <= MAX_PAIRS else 0
-        kind, sensor = mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtSensor.mjSENS_GEOMDIST
-        for number, (a, b) in enumerate(pairs[: self.num_pairs]):
-            watch = spec.add_sensor(name=f"planspace_distance_{number}", type=sensor)
-            watch.objtype, watch.objname, watch.reftype, watch.refname, watch.cutoff = kind, a, kind, b, REACH
+        with open_spec(problem.source) as spec:
+            for number, geom in enumerate(spec.geoms):
+                geom.name = geom.name or f"planspace_geom_{number}"
+            pairs = problem.validity.pairs or collidable_pairs(spec.compile())
+            self.num_pairs = len(pairs) if len(pairs) <= MAX_PAIRS else 0
+            for number, pair in enumerate(pairs[: self.num_pairs]):
+                name, kind = f"planspace_distance_{number}", mujoco.mjtSensor.mjSENS_GEOMDIST
+                watch = spec.add_sensor(name=name, type=kind, cutoff=REACH)
+                watch_pair(spec, watch, pair)
+            model = spec.compile()
         self._space = space
-        self._batch = Batch(spec.compile(), BATCH, threads)
+        self._batch = Batch(model, BATCH, threads)
         self._sensors = self._batch.bind("sensordata")
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
 

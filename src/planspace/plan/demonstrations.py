@@ -133,7 +133,9 @@ def plan_into(
 def state_info(problem: Problem) -> StateInfo:
     """Names, units and model of the states of a problem's demonstrations."""
     model, space = problem.compile()
-    return StateInfo.of_model(model, space, problem=problem.name, joints=problem.joints, mjcf=problem.mjcf)
+    return StateInfo.of_model(
+        model, space, problem=problem.name, joints=problem.joints, source=problem.source
+    )
 
 
 def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSettings:

@@ -89,6 +89,5 @@ def play(
         episodes.append(
             Episode(np.stack(states), np.stack(actions).astype(float), times, goal, False, i, seed + i)
         )
-    mjcf = task.mjcf
-    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf)
+    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source)
     return returns, Demos.from_episodes(info, episodes)

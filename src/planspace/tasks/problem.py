@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import GeomPairs, load_model
+from planspace.mjcf.source import ModelSource, as_source, model_key
 from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
@@ -61,8 +62,8 @@ class Problem:
 
     name: str
     """Its name in manifests and messages."""
-    mjcf: str
-    """The MJCF text of the model, which has no other joints than `joints`."""
+    model: ModelSource | str
+    """The files of the model, or its MJCF text. It has no other joints than `joints` and held ones."""
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
     start: Box
@@ -106,6 +107,11 @@ class Problem:
         return f"Problem({self.name!r}, joints {', '.join(joints)}, planner {self.planner})"
 
     @property
+    def source(self) -> ModelSource:
+        """The files of the model."""
+        return as_source(self.model)
+
+    @property
     def validity(self) -> Validity:
         """What makes a state invalid, apart from its bounds."""
         return Validity(self.forbidden_contacts, self.predicate)
@@ -117,7 +123,7 @@ class Problem:
             PlanspaceError: the model does not compile.
             UsageError: a joint, a geom or a bound does not fit the model.
         """
-        model = load_model(self.mjcf, self.validity.pairs)
+        model = load_model(self.model, self.validity.pairs)
         if self.control_bounds is not None:
             self._narrow_controls(model, self.control_bounds)
         bound = self.velocity_bound
@@ -211,7 +217,8 @@ class Problem:
     @property
     def hash(self) -> str:
         """SHA-256 of everything that defines the problem."""
-        return json_hash({f.name: _plain(getattr(self, f.name)) for f in fields(self)})
+        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
+        return json_hash(own | model_key(self.source))
 
 
 def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Problem files in YAML, and the shipped problems; the layout of the 2020 planner is read too."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import read_model
+from planspace.mjcf.source import ModelSource
 from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND
 from planspace.tasks import problem_values as values
@@ -19,7 +20,8 @@ from planspace.tasks.check_problem import check_problem
 from planspace.tasks.problem import Box, Problem
 from planspace.tasks.strict_yaml import read_yaml
 
-ReadModel = Callable[[Path, Sequence[str] | None], str]
+ReadModel = Callable[..., ModelSource]
+"""`read_model`, or its twin in a subprocess."""
 
 TOLERANCE_2020 = 0.1
 """The goal tolerance of the 2020 planner, which its problem files do not name."""
@@ -81,13 +83,21 @@ def _read_problem(path: Path, read: ReadModel = read_model) -> Problem:
 
 def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem:
     required = {"model", "joints", "start", "goal", "tolerance"}
-    known = {f.name for f in fields(Problem)} - {"name", "mjcf", "goal_random", "predicate"} | required
+    known = {f.name for f in fields(Problem)} - {"name", "goal_random", "predicate"} | required
+    known |= {"held", "keyframe"}
     _check_keys(path, settings, known, required)
     joints = values.read(settings, "joints", values.names)
+    model = read(
+        _beside(path, values.read(settings, "model", values.text)),
+        joints,
+        root=path.parent,
+        hold=values.read(settings, "held", values.held, ()),
+        keyframe=values.read(settings, "keyframe", values.text, ""),
+    )
     goal, goal_random = values.read(settings, "goal", values.goal)
     return Problem(
         name=path.stem,
-        mjcf=read(_beside(path, values.read(settings, "model", values.text)), joints),
+        model=model,
         joints=joints,
         start=values.read(settings, "start", values.box),
         goal=goal,
@@ -115,8 +125,8 @@ def _from_2020(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
     time limit belong to OMPL's metric, so they become settings of OMPL's planners; ours has its own.
     """
     _check_keys(path, settings, KEYS_2020, {"mujoco_config", "start", "goal"})
-    mjcf = read(_beside(path, values.read(settings, "mujoco_config", values.text)), None)
-    model = load_model(mjcf)
+    source = read(_beside(path, values.read(settings, "mujoco_config", values.text)), None)
+    model = load_model(source)
     center = np.array(values.read(settings, "start", values.numbers))
     reach = np.abs(values.read(settings, "start_range", values.numbers, (0.0,) * len(center)))
     if len(reach) != len(center):
@@ -128,7 +138,7 @@ def _from_2020(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
     }
     return Problem(
         name=path.stem,
-        mjcf=mjcf,
+        model=source,
         joints=tuple(model.joint(i).name for i in range(model.njnt)),
         start=Box(tuple((center - reach).tolist()), tuple((center + reach).tolist())),
         goal=values.read(settings, "goal", values.box),

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from planspace.errors import unknown
 from planspace.mjcf.compile import GeomPairs
+from planspace.mjcf.source import Hold
 from planspace.tasks.problem import Box
 from planspace.tasks.strict_yaml import short
 
@@ -105,6 +106,17 @@ def names(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or not value:
         raise TypeError(f"expected a list of names, got {short(value)}")
     return tuple(text(name) for name in value)
+
+
+def held(value: Any) -> Hold:
+    """Read joints that are held: `all`, a list of names, or a mapping of names to positions."""
+    if value == "all":
+        return "all"
+    if isinstance(value, dict):
+        return {text(key): numbers(at if isinstance(at, list) else [at]) for key, at in value.items()}
+    if isinstance(value, list):
+        return names(value)
+    raise TypeError(f"expected all, a list of joints, or joints with their positions, got {short(value)}")
 
 
 def numbers(value: Any) -> tuple[float, ...]:

@@ -28,6 +28,7 @@ from planspace.tasks.source_hash import function_settings
 if TYPE_CHECKING:  # importing planspace registers its tasks, and must not import MuJoCo
     import mujoco
 
+    from planspace.mjcf.source import ModelSource
     from planspace.physics.space import StateSpace
 
 PAGE = "docs/howto/own-task.md"
@@ -127,14 +128,16 @@ class Task:
     # --- the model --------------------------------------------------------------------------------------
 
     @cached_property
-    def mjcf(self) -> str:
-        """The model's MJCF text.
+    def source(self) -> "ModelSource":
+        """The files of the model.
 
         Raises:
-            PlanspaceError: the file cannot be read.
+            PlanspaceError: a file cannot be read.
         """
+        from planspace.mjcf.source import ModelSource
+
         if isinstance(self.model, str) and "<" in self.model:
-            return self.model
+            return ModelSource(self.model)
         from planspace.mjcf.read import read_model
 
         return read_model(Path(self.model))
@@ -154,7 +157,7 @@ class Task:
         from planspace.mjcf.compile import load_model
         from planspace.physics.space import StateSpace
 
-        model = load_model(self.mjcf)
+        model = load_model(self.source)
         return model, StateSpace.from_model(model, self.joints)
 
     @property
@@ -163,7 +166,8 @@ class Task:
         from planspace.storage.json_files import json_hash
 
         settings = {f.name: function_settings(getattr(self, f.name)) for f in fields(self)}
-        return json_hash({**settings, "model": self.mjcf})
+        source = self.source
+        return json_hash({**settings, "model": source.text if source.is_text else source.plain()})
 
     # --- starts, observations and rewards ---------------------------------------------------------------
 

@@ -113,7 +113,7 @@ def _numbered(free: Sequence[str]) -> list[str]:
 
 def _actuators(info: StateInfo) -> list[str]:
     """The names of the actuators; empty if there is no model or if controls are not actuators."""
-    if not info.mjcf or info.kinematic:  # the controls of a kinematic model are joint velocities
+    if info.source is None or info.kinematic:  # the controls of a kinematic model are joint velocities
         return []
     model, _ = info.compile()
     names = [model.actuator(i).name or f"control{i + 1}" for i in range(model.nu)]

@@ -11,7 +11,7 @@ import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -226,7 +226,7 @@ def _create(minari: ModuleType, demos: Demos, dataset_id: str) -> None:
         data_format=_storage_format(),
     )
     step = float(np.median(np.concatenate([np.diff(e.times) for e in episodes])))
-    dataset.storage.update_metadata({STEP_KEY: step, METADATA_KEY: {"info": asdict(demos.info)}})
+    dataset.storage.update_metadata({STEP_KEY: step, METADATA_KEY: {"info": demos.info.plain_with_files()}})
     dataset.storage.update_episode_metadata([_extra(e) for e in episodes])
 
 

@@ -97,7 +97,6 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
     if form is None or not isinstance(wrappers, list) or not all(isinstance(w, dict) for w in wrappers):
         raise PlanspaceError(f"the environment spec in the metadata of {dataset_id!r} is damaged.")
     model, space = task.compile()
-    mjcf = task.mjcf
     foreign = [str(w.get("name")) for w in wrappers if w.get("name") not in OURS]
     notices = []
     if foreign:
@@ -110,7 +109,7 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
         )
     return RecordedTask(
         task=task,
-        info=StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, mjcf=mjcf),
+        info=StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source),
         step=float(task.frame_skip * model.opt.timestep),
         obs_names=() if wrappers else tuple(task.fields(form)),
         notices=tuple(notices),
