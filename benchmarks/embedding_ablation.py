@@ -1,14 +1,14 @@
-"""Candidates for the `modern` preset, judged on geometry, on what z knows of the state, and on one RL arm.
+"""Candidates for the `modern` preset, compared by geometry, decoded error and the return of one RL arm.
 
     python benchmarks/embedding_ablation.py DEMOS [--only NAME ...] [--embeddings 1] [--policies 15]
 
-DEMOS holds swing-ups: `planspace plan cartpole-swingup --num 500 --out DEMOS`. Each candidate is trained with
-five seeds; geometry is the mean over them on validation demonstrations. The RL arm is the swing-up, TRPO, raw
-+ sin/cos + z, 0.5 M steps, with the first `--embeddings` seeds; its figure is the mean return of the last ten
-iterations. Policies of the same seed share episode starts and noise, so arms are compared pair by pair, here
-with the prototype, by a bootstrap over embedding seeds and policies.
+DEMOS contains swing-ups: `planspace plan cartpole-swingup --num 500 --out DEMOS`. Each candidate is trained
+with five seeds; geometry is their mean on validation demonstrations. The RL arm is the swing-up, TRPO, raw +
+sin/cos + z, 0.5 M steps, with the first `--embeddings` seeds; its return is the mean of the last ten
+iterations. Policies of the same seed have the same episode starts and noise, so each arm is compared with the
+prototype in pairs, by a bootstrap over embedding seeds and policies.
 
-Metrics and returns are kept in results/embedding/candidates.csv; the same command trains what is missing.
+Metrics and returns are stored in results/embedding/candidates.csv; the same command trains what is missing.
 """
 
 import argparse
@@ -55,24 +55,24 @@ PROTOTYPE = MODERN.with_settings(
 CANDIDATES: dict[str, FitConfig] = {
     "modern": MODERN,
     BASELINE: PROTOTYPE,
-    "z as trained": MODERN.with_settings(z_std=0.0, whitening=0.0),
-    "z twice as large": MODERN.with_settings(z_std=5.0),
-    "not whitened": MODERN.with_settings(whitening=0.0),
-    "half whitened": MODERN.with_settings(whitening=0.5),
-    "wholly whitened": MODERN.with_settings(whitening=1.0),
-    "nothing said of states anywhere": MODERN.with_settings(off_data_weight=0.0),
+    "z_std 0, whitening 0": MODERN.with_settings(z_std=0.0, whitening=0.0),
+    "z_std 5": MODERN.with_settings(z_std=5.0),
+    "whitening 0": MODERN.with_settings(whitening=0.0),
+    "whitening 0.5": MODERN.with_settings(whitening=0.5),
+    "whitening 1": MODERN.with_settings(whitening=1.0),
+    "off_data_weight 0": MODERN.with_settings(off_data_weight=0.0),
     "lambda 0.5": MODERN.with_settings(linearity=0.5),
     "lambda 2": MODERN.with_settings(linearity=2.0),
     "lambda 4": MODERN.with_settings(linearity=4.0),
     "lambda 32": MODERN.with_settings(linearity=32.0),
     "prior 1": MODERN.with_settings(prior=1.0),
     "prior 0.01": MODERN.with_settings(prior=0.01),
-    "near 0": MODERN.with_settings(short_fraction=0.0),
-    "near 0, lambda 0.5": MODERN.with_settings(short_fraction=0.0, linearity=0.5),
-    "near 0, lambda 2": MODERN.with_settings(short_fraction=0.0, linearity=2.0),
-    "near 1": MODERN.with_settings(short_fraction=1.0),
-    "near 1, lambda 32": MODERN.with_settings(short_fraction=1.0, linearity=32.0),
-    "mirrored": MODERN,
+    "short_fraction 0": MODERN.with_settings(short_fraction=0.0),
+    "short_fraction 0, lambda 0.5": MODERN.with_settings(short_fraction=0.0, linearity=0.5),
+    "short_fraction 0, lambda 2": MODERN.with_settings(short_fraction=0.0, linearity=2.0),
+    "short_fraction 1": MODERN.with_settings(short_fraction=1.0),
+    "short_fraction 1, lambda 32": MODERN.with_settings(short_fraction=1.0, linearity=32.0),
+    "with mirror images": MODERN,
     "spacings 1, 3, 5, 10, 30": MODERN.with_settings(spacings=PAPER_SPACINGS),
     "raw inputs": MODERN.with_settings(inputs="raw"),
     "standardised inputs": MODERN.with_settings(inputs="standard"),
@@ -94,8 +94,8 @@ CANDIDATES: dict[str, FitConfig] = {
     "random": MODERN.with_objective("random"),
     "shuffled": MODERN.with_objective("shuffled"),
 }
-"""Each is `modern` with what its name says; `BASELINE` is what `modern` must not fall behind. `mirrored` has
-the mirror image of every training demonstration as well."""
+"""Each is `modern` with the change that its name says; `modern` should not be worse than `BASELINE`. The
+candidate `with mirror images` is also trained on the mirror image of every training demonstration."""
 
 
 Returns = dict[int, list[float]]
@@ -104,7 +104,7 @@ Returns = dict[int, list[float]]
 
 def fitted(name: str, demos: Demos) -> list[Embedding]:
     """The embeddings of all seeds of a candidate."""
-    trained_on = with_mirror_images(demos) if name == "mirrored" else demos
+    trained_on = with_mirror_images(demos) if name == "with mirror images" else demos
     with tempfile.TemporaryDirectory() as folder:
         out, seeds = Path(folder), list(range(NUM_SEEDS))
         return fit_seeds(trained_on, out, config=CANDIDATES[name], seeds=seeds, split_seed=0)
@@ -136,21 +136,21 @@ def returns_of(name: str, rows: list[Row]) -> Returns:
 
 
 def with_mirror_images(demos: Demos) -> Demos:
-    """The training demonstrations, and each with left and right exchanged: a swing-up negated is another."""
+    """The training demonstrations and their mirror images: a swing-up with negated signs is one too."""
     episodes = [demos.episode(int(i)) for i in demos.split(0)["train"]]
     mirrored = [replace(e, states=-e.states, controls=-e.controls, goal=-e.goal) for e in episodes]
     return Demos.from_episodes(demos.info, episodes + mirrored)
 
 
 def policy_returns(embedding: Embedding, first: int, count: int) -> list[float]:
-    """Of policies `first`, `first` + 1, .., the mean return of each one's last iterations."""
+    """Train policies `first`, `first` + 1, ... and return each one's mean return over its last iterations."""
     config = TrainConfig(obs="trig", z="augment", num_seeds=count, seed=first, steps=STEPS)
     trained = train_policies("cartpole-swingup", config, embedding=embedding)
     return trained.history["return"][-LAST:].mean(axis=0).tolist()
 
 
 def run(name: str, demos: Demos, rows: list[Row], arguments: argparse.Namespace) -> None:
-    """Add to the rows what is missing of a candidate, and save them."""
+    """Measure what the rows lack of a candidate, add it to them and save them."""
     arms = returns_of(name, rows)
     missing = [i for i in range(_arms(name, arguments)) if len(arms.get(i, [])) < arguments.policies]
     measured = any(row.arm == name for row in rows)
