@@ -1,12 +1,13 @@
-"""Training speed of embeddings: all seeds in one program, against the ways it is usually done.
+"""Training speed of embeddings: all seeds in one program, compared with the usual ways to train them.
 
     python benchmarks/embed_throughput.py [--device cpu] [--rounds 5] [--seeds 1 5 6 20 50]
 
-The `paper` preset at batch 50 on 60 made-up demonstrations (sizes matter, content does not), optimiser
-steps a second summed over seeds. Compared in turn, round by round, with
-  (a) a compiled single-seed loop in one process a core, their rates added;
-  (b) one compiled update per Python call for one seed, as the code of 2020 works.
-Compilation is left out everywhere. (a) is left out on another device than the CPU.
+Each row is the number of optimiser steps per second, summed over seeds, for the preset `paper` with batches
+of 50 triplets of 60 random demonstrations. Every round measures all rows one after another. All seeds in one
+program are compared with
+  (a) one process per core, each with a compiled loop of one seed, only on the CPU;
+  (b) one compiled update per Python call for one seed, as in the 2020 code.
+Compilation is not measured.
 """
 
 import argparse
@@ -22,7 +23,7 @@ STEPS = 5000
 
 
 def prepare(num_seeds: int, steps: int, one_by_one: bool = False):
-    """A function that trains all seeds for some steps, in one call or one by one, and then returns."""
+    """Return a function that trains all seeds for some steps, with one call for all steps or one per step."""
     import jax
     import jax.numpy as jnp
     import jax.random as jr
@@ -78,7 +79,7 @@ def rate(advance) -> float:
 
 
 def single_seed_worker(core: int, start, rounds: int, results) -> None:
-    """One process on one core: a compiled loop of one seed, timed whenever told to start."""
+    """Time a compiled loop of one seed on one core, once per round, when `start` lets it begin."""
     os.sched_setaffinity(0, {core})
     advance = prepare(1, STEPS)
     for _ in range(rounds):
@@ -110,14 +111,14 @@ def main() -> None:
     rows = []
     for _ in range(arguments.rounds):
         row = {f"{n} seeds together": n * rate(advance) for n, advance in together.items()}
-        row["(b) one update a call, one seed"] = rate(one_by_one)
+        row["(b) one update per call, one seed"] = rate(one_by_one)
         if cores:
-            start.wait()  # the workers run, and nothing else does
+            start.wait()  # now only the workers run
             start.wait()
-            row[f"(a) one seed a process, {len(cores)} processes"] = sum(results.get() for _ in cores)
+            row[f"(a) one seed per process, {len(cores)} processes"] = sum(results.get() for _ in cores)
         rows.append(row)
     print("command: python benchmarks/embed_throughput.py, device", arguments.device)
-    print(f"{'steps a second, summed over seeds':<40}{'median':>10}{'five seeds against it':>30}")
+    print(f"{'steps per second, summed over seeds':<40}{'median':>10}{'five seeds relative to it':>30}")
     for name in rows[0]:
         values = np.array([row[name] for row in rows])
         ratio = np.array([row["5 seeds together"] / row[name] for row in rows])

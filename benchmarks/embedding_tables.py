@@ -1,10 +1,10 @@
-"""Both presets on demonstrations never seen, five seeds each, z = 3 and 10.
+"""Metrics of both presets on test demonstrations, with five seeds each and z = 3 and 10.
 
     python benchmarks/embedding_tables.py NAME=DEMOS ... [--presets modern paper] [--z 3 10] [--linearity 2]
 
 DEMOS is a dataset folder. For each preset and z it prints the metrics of the selected seed on test
 demonstrations (mean and standard deviation over the seeds), and those of the raw state. The metrics of each
-seed are kept in results/embedding/tables.csv; a row that is there is not trained again.
+seed are stored in results/embedding/tables.csv; rows that it contains are not trained again.
 """
 
 import argparse
@@ -58,7 +58,7 @@ def label_of(name: str, config: FitConfig) -> str:
 
 
 def trained(label: str, demos: Demos, config: FitConfig, seeds: list[int]) -> list[Row]:
-    """Train the embeddings of a row; their metrics."""
+    """Train the embeddings of a row and return their metrics."""
     split = demos.split(0)
     began = time.time()
     with tempfile.TemporaryDirectory() as folder:
@@ -106,13 +106,13 @@ def main() -> None:
     parser.add_argument("--linearity", type=float, default=None)
     parser.add_argument("--paper-steps", type=int, default=300_000)
     arguments = parser.parse_args()
-    kept = read_rows(FILE) if FILE.exists() else []
+    stored = read_rows(FILE) if FILE.exists() else []
 
     def rows_of(label: str, make: Callable[[], list[Row]]) -> list[Row]:
-        if all(row.arm != label for row in kept):
-            kept.extend(make())
-            write_rows(kept, make_folder(FILE.parent) / FILE.name)
-        return [row for row in kept if row.arm == label]
+        if all(row.arm != label for row in stored):
+            stored.extend(make())
+            write_rows(stored, make_folder(FILE.parent) / FILE.name)
+        return [row for row in stored if row.arm == label]
 
     print("| | " + " | ".join(s.replace("_", " ") for s in SHOWN) + " |\n|" + "---|" * (len(SHOWN) + 1))
     for text in arguments.demos:

@@ -28,7 +28,7 @@ FOLDER = Path(__file__).parent / "ground_truth"
 
 PENDULUM_INERTIA, PENDULUM_GRAVITY, PENDULUM_DAMPING, PENDULUM_TORQUE = 1 / 3, 9.81 * 0.5, 0.05, 2.0
 PENDULUM_SPEED = 9.0
-"""The grid ends at this angular velocity [rad/s], which no plan from hanging comes near."""
+"""Largest angular velocity of the grid [rad/s]; plans that start hanging stay far below it."""
 TOLERANCE = 0.1
 
 REACHER_INERTIA, REACHER_DAMPING, REACHER_TORQUE = 1.0 + 7e-4, 1.0, 200.0
@@ -84,7 +84,7 @@ def double_integrator_time(distance: float, speed: float) -> float:
     """
     c, p = REACHER_DAMPING / REACHER_INERTIA, REACHER_TORQUE / REACHER_INERTIA
     stop = _after(0.0, speed, -np.sign(speed) * p, c, np.log1p(c * abs(speed) / p) / c)[0]
-    side = 1.0 if distance >= stop else -1.0  # braking at once falls short on this side
+    side = 1.0 if distance >= stop else -1.0  # braking immediately stops before the goal on this side
     distance, speed = side * distance, side * speed
 
     def missed(push_time: float) -> float:

@@ -58,7 +58,7 @@ def main() -> None:
         rows.append(
             f"| {name} | {len(demos)} | {median:.3f} | {low:.3f} to {high:.3f} | {most:.2f} | {share:.0%} |"
         )
-    print("| problem | plans | duration / shortest, median | 80 % lie in | most | within 10 % |")
+    print("| problem | plans | duration / shortest, median | 80 % lie in | maximum | within 10 % |")
     print("|---|---|---|---|---|---|\n" + "\n".join(rows))
 
 

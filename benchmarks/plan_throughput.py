@@ -55,7 +55,7 @@ def bare_rate(problem: Problem, seed: int) -> float:
 
 def main() -> None:
     repeats = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    print(f"| problem | nodes | SST* steps/s | bare steps/s | ratio (least to most of {repeats}) |")
+    print(f"| problem | nodes | SST* steps/s | bare steps/s | ratio (minimum to maximum of {repeats}) |")
     print("|---|---|---|---|---|")
     for name in PROBLEMS:
         problem = load_problem(name)

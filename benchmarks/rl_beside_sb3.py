@@ -2,12 +2,12 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_beside_sb3.py
 
-Swing-up with sin and cos, 200,000 steps a seed, with the settings the libraries share: 4000 steps an
+Swing-up with sin and cos, 200,000 steps per seed, with the settings the libraries share: 4000 steps per
 iteration in 20 environments, 2 x 32 tanh, discount 0.99; TRPO with 10 conjugate gradient steps, max KL 0.01,
 lambda 0.98; PPO with 10 epochs of minibatches of 500, Adam 1e-3, clip 0.2, lambda 0.95. The critics differ:
 the libraries train theirs by gradient steps along with the policy, planspace fits its critic again in each
-iteration. The seeds of the libraries are kept in results/rl/sb3.csv; an algorithm that is there is not run
-again. Draws results/rl/beside-sb3.png and prints the table.
+iteration. The seeds of the libraries are stored in results/rl/sb3.csv; algorithms that it contains are not
+run again. Draws results/rl/beside-sb3.png and prints the table.
 """
 
 from concurrent.futures import ProcessPoolExecutor
@@ -40,7 +40,7 @@ SHARED: dict[str, Algorithm] = {
 
 
 def library(algo: str, seed: int) -> list[Row]:
-    """Train one seed of the library; mean return of the episodes of each iteration."""
+    """Train one seed with a library and return the mean return of each iteration's episodes."""
     import gymnasium
     import torch
     from sb3_contrib import TRPO

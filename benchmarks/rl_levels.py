@@ -1,10 +1,10 @@
-"""Returns of TRPO and PPO, 15 seeds an arm (0 to 14, all reported), next to the check figures.
+"""Returns of TRPO and PPO, 15 seeds per arm (0 to 14, all reported), next to the check figures.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_levels.py [ARM ...] [--out DIR]
 
-Each arm is one `planspace train`. Its returns are kept in results/rl/levels.csv, and an arm that is there is
-not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the style of the paper. Without arms,
-all of them: an hour on two cores.
+Each arm is one `planspace train`. Its returns are stored in results/rl/levels.csv, and arms that it contains
+are not run again. Prints the tables and draws results/rl/TASK-PRESET.png in the style of the paper. Without
+arguments it runs all arms, in an hour on two cores.
 """
 
 import argparse
@@ -26,7 +26,7 @@ RESULTS = Path(__file__).parent.parent / "results" / "rl"
 NUM_SEEDS = 15
 STUDY, FILE = "levels", RESULTS / "levels.csv"
 POINTS = 12
-"""Approximate number of points kept of a learning curve; each is a mean of ten iterations."""
+"""Approximate number of stored points of a learning curve; each is a mean of ten iterations."""
 EVERY = {"algo": "trpo", "preset": "paper", "seeds": NUM_SEEDS}
 SWING_UP = {"task": "cartpole-swingup", "obs": "trig", "steps": 960_000}
 BALANCE = {"task": "cartpole", "obs": "raw", "steps": 400_000}
@@ -70,7 +70,7 @@ def command(name: str) -> list[str]:
 
 
 def run_arm(name: str, runs: Path) -> list[Row]:
-    """Train an arm; its returns as rows of the table."""
+    """Train an arm and return its returns as rows of the table."""
     words, out = command(name), runs / name
     if (code := planspace([*words, "--out", str(out)])) not in (0, PartialResult.exit_code):
         sys.exit(code)

@@ -2,8 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/rl_modern.py [--out DIR]
 
-No other result uses these seeds. Each variant is kept in results/rl/modern.csv as soon as it is done, and is
-not run again. An hour on two cores.
+No other result uses these seeds. Each variant is stored in results/rl/modern.csv as soon as it is done, and
+is not run again. This takes an hour on two cores.
 """
 
 import argparse

@@ -2,10 +2,10 @@
 
     python benchmarks/swingup_ceiling.py [RUN ...]
 
-From each of the 20 starts: a planned swing-up (SST, polished, the goal then held by the regulator; its
-control changes at every physics step, which a policy's cannot), and every policy of the runs given (folders
-of `planspace train`, or `DIR/work/policies-*` of a study). Prints the mean return of the planner, of the
-best policy, and of the best of all at each start: the ceiling.
+It runs a planned swing-up from each of the 20 starts, and every policy of the given runs (folders of
+`planspace train`, or `DIR/work/policies-*` of a study). The plan is from SST and polished; then the regulator
+holds the goal. Its control can change at every physics step, unlike a policy's. The output is the mean return
+of the planner and of the best policy, and the ceiling: the mean of the best return from each start.
 """
 
 import argparse
@@ -60,7 +60,7 @@ def followed(planner: Pipeline, regulator: Regulator, start: np.ndarray, control
             control = controls[k] if k < len(controls) else regulator.control(state)
             efforts.append(control**2)
             state = advance(planner.model, data, planner.space, control)
-        effort = np.sqrt(np.mean(efforts, axis=0))[None]  # its square is what they cost on average
+        effort = np.sqrt(np.mean(efforts, axis=0))[None]  # so that its square is their mean square
         total += float(TASK.reward(state[None], state[None], effort, np.empty((1, 0)))[0])
     return total
 

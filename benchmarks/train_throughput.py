@@ -1,4 +1,4 @@
-"""Training speed of all seeds in one program, compared with bare physics and with one library process a seed.
+"""Training speed of all seeds in one program, compared with bare physics and with a library.
 
     python benchmarks/train_throughput.py [--repeats N] [--seeds N] [--growth] [--memory]
 
@@ -61,7 +61,7 @@ def timed(function: Callable, spent: Counter, name: str) -> Callable:
 
 
 def timed_training(config: TrainConfig) -> tuple[float, Counter]:
-    """Steps a second of all seeds together, and the seconds spent in each part."""
+    """Steps per second of all seeds together, and the seconds spent in each part."""
     spent: Counter = Counter()
     parts = [(arm_module, "collect"), (training, "collect"), (agent, "update")]
     patches = [mock.patch.object(o, name, timed(getattr(o, name), spent, name)) for o, name in parts]
@@ -97,7 +97,7 @@ class Replay:
         self.batch = TaskBatch(TASK, num)
 
     def rate(self) -> float:
-        """Steps a second of all environments together."""
+        """Steps per second of all environments together."""
         began = time.perf_counter()
         for _ in range(ITERATIONS):
             self.batch.reset(self.starts, self.batch.targets)
@@ -124,7 +124,9 @@ def library_process(num_envs: int, algo: str, preset: str, seed: int, start: Any
     if algo == "trpo":
         agent = TRPO("MlpPolicy", env, batch_size=125, cg_max_steps=10, gae_lambda=0.98, **shared)
     else:
-        minibatch = 500 if preset == "modern" else BATCH_STEPS  # 32 trajectories are all there are
+        minibatch = (
+            500 if preset == "modern" else BATCH_STEPS
+        )  # `paper`: 32 trajectories, more than a batch has
         agent = PPO("MlpPolicy", env, n_epochs=10, batch_size=minibatch, learning_rate=1e-3, **shared)
     agent.learn(BATCH_STEPS)
     start.wait()
