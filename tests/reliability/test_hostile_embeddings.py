@@ -91,8 +91,8 @@ DESCRIPTIONS: dict[str, tuple[Change, str]] = {
         "not a column",
     ),
     "no inputs": (lambda d: d.pop("inputs"), "is invalid"),
-    "another size": (lambda d: d.update(z_dim=10**9), "the sizes of its networks are not as it says"),
-    "another seed": (lambda d: d["about"].update(seed=99), "its seed was not trained"),
+    "another size": (lambda d: d.update(z_dim=10**9), "the sizes of its networks do not match"),
+    "another seed": (lambda d: d["about"].update(seed=99), "its selected seed is not one of the trained"),
 }
 
 

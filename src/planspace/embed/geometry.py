@@ -1,7 +1,7 @@
 """Metrics of an embedding on demonstrations: how straight plans are in z. Read several metrics together.
 
 An embedding that discards the state can be straight: all demonstrations of a problem share a goal, so the
-time to go as the only number of z would score well. The effective rank and the decoded error show this. Only
+time left as the only number of z would score well. The effective rank and the decoded error show this. Only
 encoder means are used. `path_error` is the paper's (equations 10 and 11).
 """
 
@@ -22,8 +22,8 @@ MIN_STATES = 12
 """Demonstrations with fewer states are left out: too short to measure."""
 MIDPOINT_SPACINGS = (5, 10, 30)
 MIN_LENGTH = 1e-9
-ACTIVE_SHARE = 0.01
-"""A dimension of z that has less than this fraction of the mean variance over dimensions has collapsed."""
+ACTIVE_FRACTION = 0.01
+"""A dimension of z has collapsed if its variance is below this fraction of the mean over dimensions."""
 CONFIDENCE, BOOTSTRAP_DRAWS = 0.95, 1000
 
 Map = Callable[[np.ndarray], np.ndarray]
@@ -96,9 +96,9 @@ def measure_raw_state(
 ) -> Geometry:
     """Measure the state itself, standardised by the training split, as a baseline."""
     reference = demos.states[demos.rows(train)]
-    mean, deviation = reference.mean(axis=0), reference.std(axis=0)
-    deviation = np.where(deviation > 0, deviation, 1.0)
-    return summarise(measure_each(lambda x: (x - mean) / deviation, lambda x: x, demos, episodes))
+    mean, std = reference.mean(axis=0), reference.std(axis=0)
+    scale = np.where(std > 0, std, 1.0)
+    return summarise(measure_each(lambda x: (x - mean) / scale, lambda x: x, demos, episodes))
 
 
 def measure_constant(demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geometry:
@@ -163,7 +163,7 @@ def summarise(table: DemoMetrics) -> Geometry:
         path_error_std=float(path_errors.std()),
         duration_error=float(scaled_errors(table.chord, table.duration).mean()),
         effective_rank=effective_rank(covariance),
-        active_dims=int((np.diag(covariance) > ACTIVE_SHARE * np.diag(covariance).mean()).sum()),
+        active_dims=int((np.diag(covariance) > ACTIVE_FRACTION * np.diag(covariance).mean()).sum()),
         decoded_error=float(np.sqrt(np.average(table.squared_error, weights=count))),
         num_demos=len(table.chord),
     )
@@ -207,9 +207,9 @@ def effective_rank(covariance: Float[np.ndarray, "z z"]) -> float:
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
     if values.sum() == 0:
         return 0.0
-    shares = values / values.sum()
-    shares = shares[shares > 0]
-    return float(np.exp(-np.sum(shares * np.log(shares))))
+    fractions = values / values.sum()
+    fractions = fractions[fractions > 0]
+    return float(np.exp(-np.sum(fractions * np.log(fractions))))
 
 
 def _covariance(moments: np.ndarray) -> np.ndarray:
@@ -255,5 +255,5 @@ def _squared_errors(demos: Demos, decoded: np.ndarray, states: np.ndarray) -> np
     error = decoded - states
     columns = list(demos.info.circular_columns)
     error[:, columns] = wrap(error[:, columns])
-    deviation = states.std(axis=0)
-    return np.mean((error / np.where(deviation > 0, deviation, 1.0)) ** 2, axis=1)
+    std = states.std(axis=0)
+    return np.mean((error / np.where(std > 0, std, 1.0)) ** 2, axis=1)

@@ -146,7 +146,7 @@ def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
     """Return the splits of the training if these are its demonstrations; otherwise one split, `all`.
 
     Raises:
-        PlanspaceError: they are, but the splits that the embedding records are not possible.
+        PlanspaceError: they are, but the embedding does not assign each of them to exactly one split.
     """
     about = embedding.about
     if about is None or about.settings.demos != demos.hash:
@@ -173,8 +173,8 @@ def run_checks(embedding: Embedding, demos: Demos, truth: Truth | None, columns:
     change = outside = correlation = None
     circles = embedding.inputs.circular_columns
     if circles:
-        turn = 2 * np.pi * np.eye(demos.states.shape[1])
-        moved = [np.linalg.norm(embedding.encode(demos.states + turn[c]) - z, axis=1).max() for c in circles]
+        turns = 2 * np.pi * np.eye(demos.states.shape[1])
+        moved = [np.linalg.norm(embedding.encode(demos.states + turns[c]) - z, axis=1).max() for c in circles]
         change = float(max(moved) / np.linalg.norm(z.std(axis=0)))
     if embedding.support is not None:
         outside = float(embedding.outside_support(demos.states).mean())

@@ -1,6 +1,6 @@
 """The seam for objectives: what an embedding is trained to minimise, and on which samples.
 
-`planspace.embed.objectives` has the shipped ones, one per file. A user's own is passed in their place. This
+`planspace.embed.objectives` has the shipped ones, one per file. Users can pass their own instead. This
 module imports no JAX, so that `--help` answers at once: the methods import it.
 """
 
@@ -50,7 +50,7 @@ class Objective(Protocol):
         """Compute the loss of one sample, in JAX.
 
         If the loss does not depend on `model.decode`, training adds a term that fits the decoder to z, with
-        no gradient to the encoder. So every embedding can decode z, and measure what z knows of the state.
+        no gradient to the encoder. So every embedding can decode z, and has a decoded error.
 
         Args:
             model: encoder and decoder: `model.encode(x)` is q(z|x) and `model.decode(z)` is p(x|z), each a

@@ -49,7 +49,7 @@ def principal_map(
     Args:
         embedding: the embedding, without a linear map.
         states: the training states.
-        whitening: a direction with standard deviation s over these states gets s^(1 - whitening).
+        whitening: the standard deviation s of a direction over these states becomes s^(1 - whitening).
         std: root mean square of the standard deviations afterwards.
     """
     mu = embedding.encode(states)

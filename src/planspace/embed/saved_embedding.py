@@ -128,22 +128,22 @@ def _assemble(path: Path, text: dict[str, Any]) -> Embedding:
     )
 
 
-@np.errstate(all="ignore")  # the function checks that all is finite
+@np.errstate(all="ignore")  # the function itself checks for numbers that are not finite
 def _check_parts(embedding: Embedding, z_dim: int) -> None:
-    """Check that the parts fit together and are as the description says."""
+    """Check that the parts fit together and match the description."""
     inputs, layers = embedding.inputs, (*embedding.encoder[0], *embedding.decoder[0])
     angles = inputs.circular_columns
     if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
         raise ValueError("an angle is not a column of the state")
     if embedding.about is not None and embedding.about.seed not in embedding.about.settings.seeds:
-        raise ValueError("its seed was not trained")
+        raise ValueError("its selected seed is not one of the trained seeds")
     if not layers or len(inputs.units) != len(inputs.names) or not (inputs.std > 0).all():
         raise ValueError("its inputs or its networks are incomplete")
     state = np.stack([np.zeros(len(inputs.names)), np.ones(len(inputs.names))])
     z = embedding.encode(state)
     decoded = embedding.decode(z)
     if z.shape != (2, z_dim) or decoded.shape != state.shape:
-        raise ValueError("the sizes of its networks are not as it says")
+        raise ValueError("the sizes of its networks do not match its description")
     if not (np.isfinite(z).all() and np.isfinite(decoded).all()):
         raise ValueError("its networks give numbers that are not finite")
     if embedding.support is not None:

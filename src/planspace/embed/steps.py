@@ -37,7 +37,7 @@ class TrainState(eqx.Module):
 
 
 def seed_groups(num_seeds: int) -> list[slice]:
-    """Divide the seeds into groups that are stepped together: two or three on a CPU, elsewhere all.
+    """Divide the seeds into groups that are trained together: two or three seeds on a CPU, otherwise all.
 
     XLA makes little use of a second core on networks this small; threads with a group each do. The groups do
     not depend on the number of cores, because rounding may depend on the size of a group.
@@ -64,7 +64,7 @@ def check_loss(samples: Samples, config: FitConfig) -> None:
     """Trace the objective's loss on one sample, without compiling it.
 
     Raises:
-        UsageError: the loss raises an exception, or does not return what `Objective.loss` wants.
+        UsageError: the loss raises an exception, or does not return what `Objective.loss` requires.
     """
     key = jr.key(0)
     model = eqx.filter_eval_shape(_new_model, key, samples, config)

@@ -33,8 +33,8 @@ class Support:
         rng: np.random.Generator,
     ) -> "Support":
         """Draw points from the training inputs; the radius includes 99 % of the validation inputs."""
-        deviation = train.std(axis=0)
-        scale = np.where(deviation > 0, deviation, 1.0)
+        std = train.std(axis=0)
+        scale = np.where(std > 0, std, 1.0)
         chosen = rng.permutation(len(train))[:NUM_POINTS]
         points = train[chosen] / scale
         radius = float(np.quantile(_nearest(points, validation / scale), QUANTILE))
@@ -47,7 +47,7 @@ class Support:
             PlanspaceError: a number is not finite.
         """
         if not np.isfinite(inputs).all():
-            raise PlanspaceError("a state holds a number that is not finite.")
+            raise PlanspaceError("a state contains a number that is not finite.")
         flat = (inputs / self.scale).reshape(-1, inputs.shape[-1])
         return (_nearest(self.points, flat) > self.radius).reshape(inputs.shape[:-1])
 

@@ -20,10 +20,10 @@ def uses_decoder(objective: Objective, model: Any, sample: Any, key: Any) -> boo
         key: a random key; only its shape matters.
 
     Returns:
-        Whether it does; yes if the loss passes the decoder to a compiled function.
+        Whether it does. If the loss passes the decoder to a compiled function, the answer is yes.
 
     Raises:
-        UsageError: the loss raises an exception, or does not return what `Objective.loss` wants.
+        UsageError: the loss raises an exception, or does not return what `Objective.loss` requires.
     """
     model, sample, key = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), (model, sample, key))
 

@@ -91,8 +91,8 @@ def use_device(platform: str) -> None:
 def _first_bad(terms: Terms, next_terms: Terms, length: int) -> tuple[int, int] | None:
     """The first step of a stretch with a bound that is not finite, and its seed's index.
 
-    The bound of a step is computed before its update, so the step after the stretch shows whether the last
-    update was sound; the update before the first bad bound caused it.
+    The bound of a step is computed before its update. So the update before the first bad bound caused it, and
+    the step after the stretch shows whether the last update was good.
     """
     bounds = np.concatenate([terms["bound"][:, :length], next_terms["bound"][:, :1]], axis=1)
     finite = np.isfinite(bounds)

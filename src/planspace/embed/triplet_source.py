@@ -1,4 +1,4 @@
-"""Where an objective draws its triplets of states from."""
+"""The training demonstrations, from which an objective draws triplets of states."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class Triplets(NamedTuple):
     rows: Int[np.ndarray, "triplet 3"]
     """Rows of the demonstrations' states."""
     times: Float[np.ndarray, "triplet 3"]
-    """The times that count for them [s]: a before t before b."""
+    """Their times [s], increasing from a to t to b."""
 
 
 @dataclass(frozen=True)

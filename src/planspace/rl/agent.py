@@ -1,8 +1,8 @@
 """Policy and critic of one seed, and how TRPO and PPO update them from an iteration of episodes.
 
 Everything here is written for one seed. Training updates the seeds in parallel threads: measured on two cores
-that takes 0.5 to 0.7 of the time of one program with an axis of seeds, and the result of a seed does not
-depend, bit for bit, on the number of seeds.
+this takes 0.5 to 0.7 of the time of one program with an axis of seeds. The result of a seed does not depend,
+bit for bit, on the number of seeds.
 """
 
 import itertools
@@ -35,7 +35,7 @@ class AgentState(eqx.Module):
     """State of the policy's optimiser; None if the algorithm has no optimiser."""
     critic: Critic
     statistics: ObsStatistics
-    """What observations are standardised by; empty unless `normalise_obs` is set."""
+    """Mean and standard deviation of observations; empty unless `normalise_obs` is set."""
 
 
 class Samples(NamedTuple):
@@ -47,7 +47,7 @@ class Samples(NamedTuple):
 
 
 RECORDED = ("kl", "entropy", "loss", "improvement", "skipped")
-"""Fields of `UpdateInfo` that the history keeps."""
+"""Fields of `UpdateInfo` that the history contains."""
 Improvement = tuple[GaussianPolicy, optax.OptState | None, UpdateInfo]
 ImproveFn = Callable[[AgentState, Samples, Array], Improvement]
 """(state, samples, random key) to the new policy and optimiser state, and what the update did."""
@@ -225,10 +225,10 @@ def explained_variance(returns: Float[np.ndarray, "time env"], value: Float[np.n
 def _inputs(
     settings: OnPolicy, state: AgentState, obs: Float[np.ndarray, "*batch obs"]
 ) -> Float[np.ndarray, "*batch obs"]:
-    """Observations as the networks get them."""
+    """The inputs of the networks: observations, standardised if `normalise_obs` is set."""
     return state.statistics(obs) if settings.normalise_obs else obs
 
 
 def _rows(x: np.ndarray) -> np.ndarray:
-    """Lay time and environments end to end."""
+    """Merge the axes of time and environments."""
     return x.reshape(-1, x.shape[-1])

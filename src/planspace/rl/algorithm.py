@@ -42,8 +42,8 @@ class Algorithm(Protocol):
     """A reinforcement learning algorithm.
 
     An implementation is a frozen dataclass whose fields are its hyper-parameters. Its state is any JAX tree
-    (nested tuples, dicts, `equinox` modules) of arrays, one tree a seed. Every array keeps its shape and type
-    during training and holds finite numbers only.
+    (nested tuples, dicts, `equinox` modules) of arrays, one tree per seed. Every array keeps its shape and
+    type during training and holds finite numbers only.
     """
 
     def init(self, arm: Arm, *, key: Key) -> Any:

@@ -1,4 +1,4 @@
-"""What an algorithm trains on: the environments of all seeds, and what each of them observes and is paid."""
+"""What an algorithm trains on: the environments of all seeds, and their observations and their rewards."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,12 +33,12 @@ class Arm:
 
     @property
     def num_envs(self) -> int:
-        """Environments a seed."""
+        """Environments per seed."""
         return len(self.batch.states) // self.config.num_seeds
 
     @property
     def steps(self) -> int:
-        """Steps an iteration and seed: one episode of full length in each environment."""
+        """Steps per iteration and seed: one episode of full length in each environment."""
         return self.num_envs * self.task.horizon
 
     @property

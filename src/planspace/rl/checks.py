@@ -1,4 +1,4 @@
-"""What training checks of an algorithm's results, so that a misfit is refused where it is handed over."""
+"""Checks of an algorithm's results, so that an invalid one is refused where the algorithm returns it."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -31,7 +31,7 @@ def export_policies(
     Args:
         out: the run's folder.
         arm: what was trained on.
-        networks: one a seed.
+        networks: one per seed.
         embeddings: the embeddings that make z; seed `s` takes number `s` modulo their count.
         returns: the return of each seed in the last evaluation.
     """

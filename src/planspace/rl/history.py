@@ -55,12 +55,12 @@ def with_row(history: Arrays, row: Arrays, number: int) -> Arrays:
 
 
 def finite_or_none(numbers: Sequence[float]) -> list[float | None]:
-    """Numbers as JSON can hold them: None for a number that is not finite."""
+    """Numbers for JSON: None for a number that is not finite."""
     return [x if np.isfinite(x) else None for x in numbers]
 
 
 def scalars(row: dict[str, list[float]], seeds: Iterable[int]) -> dict[str, float]:
-    """A row of the history, by names that viewers group."""
+    """A row of the history as scalars, named so that viewers group them."""
     return {f"{key}/seed {seed}": numbers[i] for key, numbers in row.items() for i, seed in enumerate(seeds)}
 
 

@@ -22,7 +22,7 @@ class Observer:
     z: ZMode
     z_to: ZTarget
     embeddings: tuple[Embedding, ...] = ()
-    """The embeddings that make z: one for all seeds, or one for each."""
+    """The embeddings that compute z: one for all seeds, or one per seed."""
     num_seeds: int = 1
     """Number of seeds, whose environments follow one another, the same number for each seed. The observations
     of a seed do not depend on the others, bit for bit."""

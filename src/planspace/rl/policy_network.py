@@ -33,7 +33,7 @@ class Actor:
         """Copy the weights.
 
         Args:
-            networks: one a seed, all with the same sizes.
+            networks: one per seed, all with the same sizes.
             columns: the part of an observation that the networks read.
         """
         self._mean, self._columns = stacked(networks), columns

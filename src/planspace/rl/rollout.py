@@ -59,7 +59,7 @@ def collect(
         observer: what the policy and critic see.
         act: the actions of all seeds.
         num_steps: steps of each environment.
-        rngs: one stream a seed; the starts and noise of a seed come from its own stream only.
+        rngs: one stream per seed; the starts and noise of a seed come from its own stream only.
         shape: the shaping reward, if there is any.
     """
     task, num_seeds = batch.task, len(rngs)
@@ -98,7 +98,7 @@ def collect(
 
 
 def _empty_rollout(size: tuple[int, int, int], num_obs: int, num_actions: int) -> Rollout:
-    """Room for steps of this size [time, seed, env]."""
+    """Arrays for steps of this size [time, seed, env], to be filled."""
     return Rollout(
         obs=np.empty((*size, num_obs), np.float32),
         actions=np.empty((*size, num_actions), np.float32),

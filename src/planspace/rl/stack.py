@@ -1,4 +1,4 @@
-"""Small tanh networks in NumPy, one a seed. For acting, a call of JAX would cost more than the network."""
+"""Small tanh networks in NumPy, one per seed. Calling JAX to act would take longer than the network."""
 
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable

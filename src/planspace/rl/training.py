@@ -61,19 +61,19 @@ class _State(NamedTuple):
     agents: tuple[Any, ...]
     """The algorithm's state of each seed."""
     frozen: np.ndarray
-    """Seeds that came upon a number that is not finite; they keep their state and act as before."""
+    """Whether each seed has produced a number that is not finite. A frozen seed acts, but is not updated."""
     history: Arrays
-    """`COMMON` and the algorithm's own numbers as [iteration, seed], `EVALUATION` as [evaluation, seed];
-    filled as far as the run has come."""
+    """`COMMON` and the algorithm's own numbers [iteration, seed], and `EVALUATION` [evaluation, seed]; NaN
+    for iterations that have not run yet."""
 
 
 @dataclass(frozen=True)
 class _Training:
-    """Everything that stays as it is."""
+    """Everything that does not change during training."""
 
     arm: Arm
     threads: ThreadPoolExecutor
-    """The seeds are updated side by side in these."""
+    """The seeds are updated in these threads."""
 
     @property
     def algorithm(self) -> Algorithm:
@@ -100,10 +100,10 @@ def train_policies(
         config: settings; by default 5 seeds of TRPO.
         algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
             replaces that of `config`.
-        embedding: the embedding that makes z, if `config` uses z; or several, of which seed `s` takes number
-            `s` modulo their count.
-        out: the run's folder; without it, policies are kept in a temporary folder.
-        track: where to show the learning curves, too: `tensorboard`, `wandb`.
+        embedding: the embedding that computes z, if `config` uses z. Of a sequence of n embeddings, seed `s`
+            uses the one with index `s` modulo n.
+        out: the run's folder; without it, policies are stored in a temporary folder.
+        track: also send the learning curves to `tensorboard` or `wandb`.
         verbose: show the progress.
 
     Raises:
@@ -114,10 +114,10 @@ def train_policies(
     config = _with_algorithm(config or TrainConfig(), algorithm)
     find_reward_type(config.reward, task)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
-    dealt = _dealt(given, config)
-    seen = dealt if config.z != "none" else ()
-    observer = Observer(task, config.obs, config.z, config.z_to, seen, config.num_seeds)
-    shaping = Shaping.of(config, task, dealt)
+    per_seed = _embedding_of_seeds(given, config)
+    observed = per_seed if config.z != "none" else ()
+    observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds)
+    shaping = Shaping.of(config, task, per_seed)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
     open_run(run, _settings(task, config, given))
@@ -139,7 +139,7 @@ def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> T
 
 
 def num_episodes(task: Task, batch_steps: int) -> int:
-    """Environments a seed: the number of whole episodes that comes nearest to `batch_steps`."""
+    """Number of environments per seed: the number of whole episodes closest to `batch_steps`."""
     return max(1, round(batch_steps / task.horizon))
 
 
@@ -164,8 +164,8 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
     return history
 
 
-def _dealt(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
-    """The embeddings as the seeds take them."""
+def _embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
+    """The embedding of each seed; one embedding if all seeds share it."""
     if embeddings and not config.needs_embedding:
         raise UsageError(
             "an embedding was given, but z is 'none': give --z augment, --z replace or --shaping z."
@@ -198,7 +198,7 @@ def _init(training: _Training) -> _State:
 
 
 def _with_numbers(training: _Training, state: _State, names: Sequence[str]) -> _State:
-    """A state whose history has room for these numbers of each iteration and seed."""
+    """Add a history of NaN [iteration, seed] for each name."""
     config = training.arm.config
     room = {name: np.full((config.iterations, config.num_seeds), np.nan) for name in names}
     return state._replace(history={**room, **state.history})
@@ -224,7 +224,7 @@ def _run(training: _Training, state: _State, first: int, out: Path, track: Seque
                 new = _iterate(training, state, done)
                 if done + 1 in config.evaluations:
                     new = _evaluate(training, new, config.evaluations.index(done + 1))
-                state, done = new, done + 1  # together, so that an interrupt finds both or neither
+                state, done = new, done + 1  # in one statement, so that an interrupt changes both or neither
                 if done % CHECKPOINT_EVERY == 0 or done == config.iterations:
                     save()
                     saved = done
@@ -239,7 +239,7 @@ def _run(training: _Training, state: _State, first: int, out: Path, track: Seque
 
 
 def _row(history: Arrays, config: TrainConfig, i: int) -> dict[str, list[float]]:
-    """The numbers of one iteration, and of the evaluation after it if there was one."""
+    """The numbers of one iteration, including those of an evaluation after it."""
     row = {key: numbers[i].tolist() for key, numbers in history.items() if key != EVALUATION}
     if i + 1 in config.evaluations:
         row[EVALUATION] = history[EVALUATION][config.evaluations.index(i + 1)].tolist()
@@ -292,7 +292,7 @@ def _saved_names(checkpoint: Path) -> list[str]:
 
 
 def _with_new_numbers(training: _Training, state: _State, found: list[dict[str, float]]) -> _State:
-    """Make room for the algorithm's own numbers when they are first known, then check their names."""
+    """Add the algorithm's own numbers to the history when they are first known; later check their names."""
     known = tuple(name for name in state.history if name not in (*COMMON, EVALUATION))
     if found and not known:
         known = tuple(found[0])
@@ -306,8 +306,8 @@ def _evaluate(training: _Training, state: _State, number: int) -> _State:
     """Play an episode in each environment without exploration."""
     arm = training.arm
     rngs = [np.random.default_rng(EVALUATION_SEED) for _ in arm.config.seeds]
-    calm = [replace(network, log_std=None) for network in _networks(training, state)]
-    actor = Actor(calm, arm.observer.policy_columns)
+    deterministic = [replace(network, log_std=None) for network in _networks(training, state)]
+    actor = Actor(deterministic, arm.observer.policy_columns)
     rollout = collect(arm.batch, arm.observer, actor, arm.task.horizon, rngs)
     return state._replace(history=with_row(state.history, {EVALUATION: first_returns(rollout)}, number))
 

@@ -22,14 +22,14 @@ AddScalars = Callable[[int, Mapping[str, float]], None]
 """Function that writes named values of one step."""
 
 FILE_VERSION = "brain.Event:2"
-"""The format version, which every event file begins with."""
+"""The format version, at the beginning of every event file."""
 
 
 class Tracker:
-    """Writes the scalars of a run at once, so that a crash loses none; see `open_tracker`.
+    """Writes the scalars of a run to disk immediately, so that a crash loses none; see `open_tracker`.
 
-    Tracking a run again in the same folder continues it: TensorBoard then discards what the interrupted run
-    wrote from the first new step on.
+    A run that is tracked again in the same folder is continued. TensorBoard then discards the scalars of the
+    interrupted run from the first new step on.
     """
 
     def __init__(self, path: Path, file: BinaryIO, events: Any, record_writer: Any):
@@ -84,7 +84,7 @@ class Tracker:
 
 
 def open_tracker(folder: Path) -> Tracker:
-    """Open a run's folder for `tensorboard --logdir`, new or to be continued.
+    """Open a run's folder for `tensorboard --logdir`, to start the run or to continue it.
 
     Raises:
         PlanspaceError: the package `tensorboard` is missing, or the folder cannot be written.
@@ -102,7 +102,7 @@ def open_tracker(folder: Path) -> Tracker:
 
 
 class WandbTracker:
-    """Sends the scalars of a run to Weights & Biases, or stores them in the folder; see `open_wandb`."""
+    """Sends the scalars of a run to Weights & Biases, or stores them locally; see `open_wandb`."""
 
     def __init__(self, run: Any):
         """Use a run that `wandb.init` returned."""
@@ -152,7 +152,7 @@ def open_wandb(folder: Path) -> WandbTracker:
 
 
 def _wandb_id(folder: Path) -> str:
-    """The id of a folder's run; made once, so that continuing the folder continues the run."""
+    """The id of a folder's run. It is stored in the folder, so that the same run is continued."""
     path = make_folder(folder / "wandb") / "planspace-run-id"
     if not path.exists():
         write_bytes(path, secrets.token_hex(6).encode())
