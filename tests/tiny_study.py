@@ -1,4 +1,4 @@
-"""A study of six small units, and what it ends with."""
+"""A study of six small units, for tests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ TINY = Study(
 
 
 def run_alone(unit: Unit, out: Path) -> None:
-    """Runs one unit as a study does, whether it is done or not."""
+    """Run one unit in a worker process, even if it has a result."""
     pool = LocalPool(out, 1)
     pool.start(unit)
     while not (ended := pool.wait()):

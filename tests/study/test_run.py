@@ -70,8 +70,8 @@ def test_finished_units_are_not_run_again_even_without_their_folders(copied: Pat
 def test_an_unfinished_folder_is_completed(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
-    half = replace(PLANS, num=10)  # of twelve, as after a kill
-    plan_into(load_problem(PLANS.problem), folder_of(PLANS, copied), num=half.num, seed=0, config=PLANNER)
+    partial = replace(PLANS, num=10)  # of twelve, as after a kill
+    plan_into(load_problem(PLANS.problem), folder_of(PLANS, copied), num=partial.num, seed=0, config=PLANNER)
     assert units_to_run(more, copied) == [PLANS, FIT, policy(2, z=True)]
     run_study(more, copied, workers=1)
     assert len(load_demos(folder_of(PLANS, copied))) == 12
@@ -81,10 +81,8 @@ def test_an_unfinished_folder_is_completed(copied: Path) -> None:
 
 
 def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path: Path) -> None:
-    alone = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
-    run_study(
-        alone, tmp_path / "out", workers=1
-    )  # this worker uses all cores; in `finished`, a worker uses one
+    single = replace(TINY, arms=(replace(RAW, units=(policy(0),)),))
+    run_study(single, tmp_path / "out", workers=1)  # uses all cores; a worker of `finished` uses one
     expected = read_result(policy(0), finished).found
     assert read_result(policy(0), tmp_path / "out").found == expected
 
@@ -93,9 +91,8 @@ def test_results_do_not_depend_on_the_number_of_workers(finished: Path, tmp_path
 def test_results_do_not_depend_on_the_kernels_of_linear_algebra(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(
-        "OPENBLAS_CORETYPE", "Prescott"
-    )  # kernels that every x86-64 CPU has, with another order of summation
+    # every x86-64 CPU has these kernels; they sum in another order
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")
     open_results(tmp_path)
     (tmp_path / "work").mkdir()
     run_alone(PLANS, tmp_path)

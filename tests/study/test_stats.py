@@ -74,8 +74,8 @@ def test_variance_components_of_a_hand_worked_table() -> None:
     table = scores([1.0, 7.0, 3.0, 9.0], num_embeddings=2)
     found = stats.variance_components(table, stats.final(table))
     assert found == pytest.approx((np.sqrt(17.0), np.sqrt(2.0)))
-    alone = scores([1.0, 2.0], num_embeddings=1)
-    assert stats.variance_components(alone, stats.final(alone)) is None
+    single = scores([1.0, 2.0], num_embeddings=1)
+    assert stats.variance_components(single, stats.final(single)) is None
 
 
 def test_a_profile_falls_from_one_to_zero() -> None:

@@ -28,9 +28,8 @@ def test_returns_over_tasks_are_normalised_by_levels() -> None:
         for label in ("raw", "z only")
     ]
     study = replace(TINY, arms=tuple(arms), claims=())
-    reached = {
-        arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms
-    }  # halfway, for both tasks
+    # halfway between idle and solved on both tasks
+    reached = {arm.name: [50.0 if arm.task == "cartpole" else -10.0] * 5 for arm in arms}
     steps = np.array([400_000])
     scores = {name: Scores((0, 1, 2, 3, 4), steps, np.array([values]), 0) for name, values in reached.items()}
     rows = summarise(Findings(study, {}, scores, {})).over_tasks
@@ -39,8 +38,8 @@ def test_returns_over_tasks_are_normalised_by_levels() -> None:
         ("TRPO", "z only", 2),
     ]
     assert all(row.iqm == 0.5 and row.iqm_interval == (0.5, 0.5) for row in rows)
-    alone = replace(study, arms=(arms[0], arms[2]))
-    assert summarise(Findings(alone, {}, scores, {})).over_tasks == []  # a single arm cannot be compared
+    single = replace(study, arms=(arms[0], arms[2]))
+    assert summarise(Findings(single, {}, scores, {})).over_tasks == []  # a single arm cannot be compared
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from planspace.cli.tables import print_json
 class Report:
     """Write the report of a `planspace run` again.
 
-    Stages that the run had not finished are finished first.
+    Unfinished stages of the run are finished first.
     """
 
     folder: Positional[Annotated[Path, arg(metavar="DIR")]]
@@ -22,7 +22,7 @@ class Report:
     """Print the summary as JSON."""
 
     def __call__(self) -> None:
-        """Write the report and print the closing table."""
+        """Write the report and print the summary."""
         from planspace.study.quickstart import rebuild
         from planspace.study.run_summary import as_json, as_text
 

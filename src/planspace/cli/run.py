@@ -24,10 +24,10 @@ class Run:
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: runs/TASK-BUDGET)")] = None
     """The run's folder. The same command continues an interrupted run."""
     seed: int = 0
-    """Seed of every stage. Policies use this seed and the ones after it."""
+    """Seed of every stage. Policies use this seed and the following ones."""
 
     def __call__(self) -> None:
-        """Run every stage and print the closing table."""
+        """Run every stage and print the summary."""
         from planspace.storage.compiled import use_compilation_cache
         from planspace.study.quickstart import run
         from planspace.study.run_summary import as_text

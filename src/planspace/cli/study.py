@@ -26,16 +26,17 @@ class Study:
     swing-up is learned."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
     """Folder of the results: DIR/NAME-BUDGET/report.html, and DIR/units with the result of each unit. Studies
-    that share DIR share the units that they have in common. The same command continues an interrupted
-    study."""
+    with the same DIR share their common units. The same command resumes an interrupted study."""
     budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
     """Environment steps per seed. smoke: a few minutes in all, to see that it works. half: 1 M. full: 2 M.
     paper: 8 M, as in 2020."""
     workers: Annotated[int, arg(metavar="N")] = 0
     """Worker processes, at most one per core; 0 uses every core. The result does not depend on this
     number."""
-    seeds: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 15; 25 or 75 where nested)")] = 0
-    """Policies per arm, a multiple of 5. A larger number adds seeds to those that have been run."""
+    seeds: Annotated[
+        int, arg(metavar="N", help_behavior_hint="(default: 15; some arms of demos 25, of recipe 75)")
+    ] = 0
+    """Policies per arm, a multiple of 5. A larger number adds seeds; finished seeds are not run again."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
     """Run only arms whose name (figure/arm) contains this text, such as 'swingup, TRPO'. May be repeated. The
     report shows every arm that has results; with --report it shows only these arms."""
@@ -43,7 +44,7 @@ class Study:
     """A Ray cluster to run the units on (extra `ray`). Results are stored on this machine. --workers limits
     how many units run at a time; 0 uses every core of the cluster."""
     report: bool = False
-    """Run nothing, and write the report of the results that exist."""
+    """Write the report of the existing results, without running any units."""
 
     def __call__(self) -> None:
         """Run the units that are missing, write the report and print the tables."""

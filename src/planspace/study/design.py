@@ -130,14 +130,14 @@ class Study:
             UsageError: no arm's name contains any of the texts.
         """
         parts = tuple(parts)
-        kept = tuple(arm for arm in self.arms if not parts or any(part in arm.name for part in parts))
-        if not kept:
+        selected = tuple(arm for arm in self.arms if not parts or any(part in arm.name for part in parts))
+        if not selected:
             names = "; ".join(arm.name for arm in self.arms)
             texts = " or ".join(repr(part) for part in parts)
             raise UsageError(f"no arm of study {self.name} has {texts} in its name. Its arms: {names}.")
-        names = {arm.name for arm in kept}
+        names = {arm.name for arm in selected}
         claims = tuple(c for c in self.claims if c.arm in names and (not c.other or c.other in names))
-        return replace(self, arms=kept, claims=claims, parts=parts)
+        return replace(self, arms=selected, claims=claims, parts=parts)
 
 
 @dataclass(frozen=True)

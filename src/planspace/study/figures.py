@@ -46,7 +46,7 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
         figure.add_scatter(
             x=c.steps,
             y=c.best,
-            name=f"{label}, best run",
+            name=f"{label}, best seed",
             legendgroup=label,
             showlegend=False,
             mode="lines",

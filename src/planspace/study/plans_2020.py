@@ -42,6 +42,7 @@ MAX_ENERGY = 60.0
 VALUE_PER_RADIAN = 5.0
 """Value of one radian of rotation [1/s^2]."""
 MAX_STEPS = 400
+"""Number of controls after which planning starts again from another state."""
 ROTATION = 2 * np.pi
 
 
@@ -87,7 +88,7 @@ def _plan(problem: Problem, simulator: Simulator, index: int, rng: np.random.Gen
     goal = np.array(problem.goal.low)
     states, controls, best = [problem.draw_start(simulator, rng)], [], np.empty((0, 1))
     while distance_of_2020(states[-1], goal) > problem.tolerance:
-        if len(controls) >= MAX_STEPS:  # no progress: try another start
+        if len(controls) >= MAX_STEPS:  # start again
             states, controls, best = [problem.draw_start(simulator, rng)], [], np.empty((0, 1))
         sequences = rng.uniform(-1.0, 1.0, (LENGTH, SEQUENCES, 1))
         copies = sequences[: len(best), : SEQUENCES // 2]

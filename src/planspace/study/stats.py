@@ -38,7 +38,7 @@ Interval = tuple[float, float]
 
 
 class Reached(NamedTuple):
-    """Numbers of each seed, computed from all rows of its training."""
+    """Statistics of each seed, computed from its full training."""
 
     final: Float[np.ndarray, " seed"]
     early: Float[np.ndarray, " seed"]
@@ -251,7 +251,7 @@ class Verdict:
     number: float
     interval: Interval
     seeds: int
-    """Number of seeds that both arms have."""
+    """Number of seeds that decided the claim."""
     verdict: str
     """holds, does not hold, or cannot tell."""
 
