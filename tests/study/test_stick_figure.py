@@ -8,7 +8,7 @@ from planspace.study.stick_figure import FRAMES, stick_film
 from planspace.tasks.catalog import TASKS
 
 
-def episode(task_name: str, states: np.ndarray) -> Demos:
+def one_episode(task_name: str, states: np.ndarray) -> Demos:
     task = TASKS[task_name]
     model, space = task.compile()
     info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source)
@@ -19,11 +19,11 @@ def episode(task_name: str, states: np.ndarray) -> Demos:
     )
 
 
-def test_a_pole_stands_where_its_state_says() -> None:
+def test_the_pole_is_drawn_at_its_state() -> None:
     states = np.zeros((3, 4))
     states[:, 0] = [0.0, 0.5, 0.5]
     states[:, 1] = [0.0, 0.0, np.pi / 2]  # upright; upright and to the right; lying to the right
-    film = stick_film(episode("cartpole-swingup", states))
+    film = stick_film(one_episode("cartpole-swingup", states))
     poses = np.array(film.poses)
     assert film.seconds == pytest.approx(0.04)
     (pole,) = [i for i in range(poses.shape[1]) if abs(poses[0, i, 3] - poses[0, i, 1]) > 400]
@@ -36,10 +36,10 @@ def test_a_pole_stands_where_its_state_says() -> None:
     assert max(lying[0], lying[2]) == pytest.approx(1100, abs=3)
 
 
-def test_a_long_episode_has_so_many_poses_and_the_plane_the_robot_moves_in() -> None:
+def test_a_long_episode_is_thinned_and_drawn_in_the_plane_of_motion() -> None:
     states = np.zeros((500, 4))
     states[:, 0] = np.linspace(0.0, 3.0, 500)
-    film = stick_film(episode("reacher-raw", states))
+    film = stick_film(one_episode("reacher-raw", states))
     poses = np.array(film.poses)
     assert len(poses) == FRAMES
     assert film.seconds * (FRAMES - 1) == pytest.approx(0.04 * 499, rel=1e-3)
