@@ -26,7 +26,7 @@ def bare(form: Any = "trig", names: tuple[str, ...] = ("x", "theta"), unit: str 
 
 
 def about(**changes: Any) -> About:
-    """What `fit` would write."""
+    """What `fit_embedding` would write."""
     test = asdict(GEOMETRY)
     fit = plain_settings(PRESETS["modern"]) | {"steps": 12_345, "batch": 678}
     known = About(
@@ -51,12 +51,12 @@ def sections(card: str) -> list[str]:
 
 
 def row(card: str, first: str) -> list[str]:
-    """The cells of the table row that begins so."""
+    """The cells of the table row whose first cell is this."""
     (line,) = [line for line in card.splitlines() if line.startswith(f"| {first} |")]
     return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
 
 
-def test_a_card_says_all_that_fit_knows() -> None:
+def test_a_card_contains_everything_about_the_training() -> None:
     embedding = replace(bare(), about=about())
     card = model_card(embedding)
     assert card.startswith("# Plan-space embedding of `cartpole-swingup`\n")
@@ -72,7 +72,7 @@ def test_a_card_says_all_that_fit_knows() -> None:
     assert "planspace 0.1.0, mujoco 3.17.0" in card
 
 
-def test_weights_that_are_off_are_not_listed() -> None:
+def test_weights_of_zero_are_not_listed() -> None:
     objective = {"name": "variational", "linearity": 2.0, "prior": 0.25, "distance": 0.0, "whole": True}
     settings = TrainingSettings("d160b9", (3,), split_seed=0, fit={"objective": objective})
     card = model_card(replace(bare(), about=about(settings=settings)))
@@ -91,7 +91,7 @@ def test_each_metric_has_a_row() -> None:
     assert set(METRICS) == {field.name for field in fields(Geometry)} - {"num_demos"}
 
 
-def test_an_embedding_made_by_hand_has_the_rest() -> None:
+def test_without_about_a_card_has_the_other_sections() -> None:
     card = model_card(bare())
     assert sections(card) == ["How to use it", "Inputs", "Limits"]
     assert card.startswith("# Plan-space embedding\n")
@@ -112,13 +112,13 @@ def test_inputs_as_a_table() -> None:
     assert "one full turn later are different states" in model_card(bare("raw"))
 
 
-def test_names_cannot_break_the_page() -> None:
+def test_special_characters_in_names_are_escaped() -> None:
     card = model_card(bare(names=("a|b", "c`\n# d <script>")))
     assert row(card, "0")[1] == r"`a\|b`"
     assert row(card, "1")[1] == "`c' # d <script>`"
 
 
-def test_the_card_says_what_the_objective_is() -> None:
+def test_the_card_describes_the_objective() -> None:
     objective = ObjectiveSummary("pca", "Principal components.", closed_form=True)
     fit = {"objective": {"name": "pca"}, "steps": 100, "batch": 5}
     settings = TrainingSettings("d160b9", (3,), split_seed=0, fit=fit)
@@ -128,16 +128,16 @@ def test_the_card_says_what_the_objective_is() -> None:
     assert "- one seed: 3\n" in card
 
 
-def test_the_paper_s_choice_of_the_seed() -> None:
+def test_the_card_says_how_paper_selects_the_seed() -> None:
     card = model_card(replace(bare(), about=about(preset="paper")))
     assert "7 is selected: the lowest path error on the training split, as in the paper" in card
 
 
-def test_the_example_runs_beside_the_embedding(
+def test_the_example_runs_in_the_folder_of_the_embedding(
     embedding_folder: Path, embedding: Embedding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     card = model_card(embedding)
-    assert sections(card) == SECTIONS  # what `fit` writes today is all that the card asks for
+    assert sections(card) == SECTIONS  # `fit_embedding` writes everything that the card shows
     (code,) = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
     monkeypatch.chdir(embedding_folder)
     scope: dict[str, Any] = {}

@@ -30,7 +30,7 @@ def layers(network: GaussianNetwork) -> tuple[list[np.ndarray], list[np.ndarray]
     return [np.asarray(w) for w in network.weights], [np.asarray(b) for b in network.biases]
 
 
-def test_numpy_inference_is_the_jax_model(rng: np.random.Generator) -> None:
+def test_numpy_and_jax_compute_the_same(rng: np.random.Generator) -> None:
     model = PlanSpaceModel(5, 3, (64, 64), 0.2, key=jr.key(0))
     embedding = Embedding(INPUTS, layers(model.encode), layers(model.decode), 0.2)
     states = rng.normal(0, 3, (50, 4))
@@ -42,28 +42,28 @@ def test_numpy_inference_is_the_jax_model(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(embedding.decode(mu), INPUTS.invert(np.asarray(decoded)), atol=1e-4)
 
 
-def test_inputs_by_hand_and_back() -> None:
+def test_inputs_by_hand_and_their_inverse() -> None:
     state = np.array([0.5, 7.0, -1.0, 2.0])
     expected = (np.array([0.5, np.sin(7.0), np.cos(7.0), -1.0, 2.0]) - 0.1) / 2.0
     np.testing.assert_allclose(INPUTS(state), expected)
     np.testing.assert_allclose(INPUTS.invert(INPUTS(state)), [0.5, 7.0 - 2 * np.pi, -1.0, 2.0])
 
 
-def test_windings_do_not_matter(embedding: Embedding) -> None:
+def test_a_full_turn_does_not_change_z(embedding: Embedding) -> None:
     state = np.array([0.1, 1.0, 0.2, 0.3])
     wound = state + np.array([0, 2 * np.pi, 0, 0])
     np.testing.assert_allclose(embedding.encode(wound), embedding.encode(state), atol=1e-5)
     assert embedding.distance(state, wound) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_any_batch_shape(embedding: Embedding, rng: np.random.Generator) -> None:
+def test_states_may_have_any_leading_axes(embedding: Embedding, rng: np.random.Generator) -> None:
     states = rng.normal(size=(2, 3, 4))
     z = embedding.encode(states)
     assert z.shape == (2, 3, embedding.z_dim)
     np.testing.assert_allclose(z[1, 2], embedding.encode(states[1, 2]), atol=1e-5)
 
 
-def test_saving_twice_is_refused_and_loading_gives_the_same(
+def test_a_loaded_embedding_is_the_same_and_is_not_overwritten(
     embedding: Embedding, tmp_path: Path, rng: np.random.Generator
 ) -> None:
     embedding.save(tmp_path / "e")
@@ -76,7 +76,7 @@ def test_saving_twice_is_refused_and_loading_gives_the_same(
 
 
 @pytest.mark.parametrize("file", ["embedding.json", "embedding.safetensors"])
-def test_an_altered_embedding_is_refused_by_name(embedding: Embedding, file: str, tmp_path: Path) -> None:
+def test_errors_name_the_altered_file(embedding: Embedding, file: str, tmp_path: Path) -> None:
     embedding.save(tmp_path / "e")
     path = tmp_path / "e" / file
     data = bytearray(path.read_bytes())
@@ -86,14 +86,14 @@ def test_an_altered_embedding_is_refused_by_name(embedding: Embedding, file: str
         load_embedding(tmp_path / "e")
 
 
-def test_other_states_and_folders_are_refused(embedding: Embedding, tmp_path: Path) -> None:
+def test_states_of_another_size_and_other_folders_are_refused(embedding: Embedding, tmp_path: Path) -> None:
     with pytest.raises(PlanspaceError, match=r"states of 4 numbers \(slider, hinge, .*\), got 6"):
         embedding.encode(np.zeros((2, 6)))
     with pytest.raises(PlanspaceError, match="is not an embedding"):
         load_embedding(tmp_path)
 
 
-def test_a_constant_column_is_named() -> None:
+def test_errors_name_a_constant_state() -> None:
     states = np.random.default_rng(0).normal(size=(20, 2))
     states[:, 1] = 3.0
     with pytest.raises(PlanspaceError, match="the state 'b' is constant"):
@@ -133,13 +133,13 @@ def test_columns_are_found_by_name(embedding: Embedding) -> None:
         embedding.columns_of(("slider", "hinge"))
 
 
-def test_a_short_z_is_refused(embedding: Embedding) -> None:
+def test_z_of_another_size_is_refused(embedding: Embedding) -> None:
     with pytest.raises(PlanspaceError, match=r"z has 3 numbers, got an array of shape \(2,\)"):
         embedding.decode(np.zeros(2))
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (63,), (64,), (65,), (3, 70), (0,)])
-def test_many_are_encoded_in_blocks_as_one_by_one(
+def test_encoding_in_blocks_gives_the_same_z(
     embedding: Embedding, shape: tuple[int, ...], rng: np.random.Generator
 ) -> None:
     states = rng.normal(size=(*shape, 4))

@@ -24,7 +24,7 @@ TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.1], [0.0, 0.2, 2.0]])
 
 
 def made(form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)) -> Embedding:
-    """An encoder with random weights; x is far from 0 beside its deviation, as an altitude is."""
+    """An encoder with random weights; the mean of x is large relative to its standard deviation."""
     num = 4 + (len(circular) if form == "trig" else 0)
     mean = np.linspace(0.1, 0.7, num) if form == "trig" else np.zeros(num)
     if 0 not in circular:
@@ -56,7 +56,7 @@ def assert_same(embedding: Embedding, path: Path, states: np.ndarray) -> None:
     ("form", "circular"),
     [("raw", (1,)), ("raw", ()), ("trig", ()), ("trig", (1,)), ("trig", (3, 1)), ("trig", (0, 1, 2, 3))],
 )
-def test_onnxruntime_computes_what_we_compute(
+def test_onnxruntime_gives_the_same_outputs(
     form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...], tmp_path: Path, rng
 ) -> None:
     embedding = made(form, circular, hidden)
@@ -67,10 +67,10 @@ def test_onnxruntime_computes_what_we_compute(
         states[:, 0] += embedding.inputs.mean[0]
     states = states.astype(np.float32)
     assert_same(embedding, tmp_path / "e.onnx", states)
-    assert_same(embedding, tmp_path / "e.onnx", states[:1])  # the batch is free
+    assert_same(embedding, tmp_path / "e.onnx", states[:1])  # any batch size
 
 
-def test_a_trained_embedding_and_its_linear_rival(embedding: Embedding, demos, tmp_path: Path) -> None:
+def test_a_trained_embedding_and_principal_components(embedding: Embedding, demos, tmp_path: Path) -> None:
     principal = pytest.importorskip("planspace.embed.principal").principal_components
     states = demos.states.astype(np.float32)
     for name, e in (("fit", embedding), ("pca", principal(embedding.inputs, demos.states, 2))):
@@ -78,7 +78,7 @@ def test_a_trained_embedding_and_its_linear_rival(embedding: Embedding, demos, t
         assert_same(e, tmp_path / f"{name}.onnx", states)
 
 
-def test_a_turn_more_changes_nothing(tmp_path: Path) -> None:
+def test_a_full_turn_does_not_change_the_outputs(tmp_path: Path) -> None:
     embedding = made("trig", (1,))
     export.export_onnx(embedding, tmp_path / "e.onnx")
     state = np.array([[700.0, 0.5, 0.1, 0.2], [700.0, 0.5 + 2 * np.pi, 0.1, 0.2]], np.float32)
@@ -99,7 +99,7 @@ def test_sigma_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(sigma[:, 0], [2 * np.exp(-1.0), 2.0, 8.0], atol=1e-6)
 
 
-def test_the_file_says_what_it_is(embedding: Embedding, tmp_path: Path) -> None:
+def test_the_file_has_metadata(embedding: Embedding, tmp_path: Path) -> None:
     export.export_onnx(embedding, tmp_path / "deep" / "e.onnx")
     model = onnx.load(tmp_path / "deep" / "e.onnx")
     assert {p.key: p.value for p in model.metadata_props} == {
@@ -112,16 +112,14 @@ def test_the_file_says_what_it_is(embedding: Embedding, tmp_path: Path) -> None:
     assert [f.name for f in (tmp_path / "deep").iterdir()] == ["e.onnx"]
 
 
-def test_a_file_that_exists_is_left_alone(embedding: Embedding, tmp_path: Path) -> None:
+def test_an_existing_file_is_not_overwritten(embedding: Embedding, tmp_path: Path) -> None:
     (tmp_path / "e.onnx").write_text("mine")
     with pytest.raises(PlanspaceError, match=r"e\.onnx exists already; choose another file"):
         export.export_onnx(embedding, tmp_path / "e.onnx")
     assert (tmp_path / "e.onnx").read_text() == "mine"
 
 
-def test_a_model_that_computes_something_else_is_not_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_with_other_outputs_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     embedding = made("trig", (1,))
     bias = embedding.encoder[1][-1] + np.float32(1e-4)
     wrong = replace(embedding, encoder=(embedding.encoder[0], [*embedding.encoder[1][:-1], bias]))
@@ -133,7 +131,7 @@ def test_a_model_that_computes_something_else_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_weights_that_give_no_number_are_not_written(tmp_path: Path) -> None:
+def test_a_model_with_outputs_that_are_not_finite_is_not_written(tmp_path: Path) -> None:
     embedding = made("raw", ())
     embedding.encoder[1][-1][0] = np.nan
     with pytest.raises(PlanspaceError, match="mu is off by nan"):
@@ -141,14 +139,14 @@ def test_weights_that_give_no_number_are_not_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
-def test_without_a_package(
+def test_missing_packages(
     missing: str, embedding: Embedding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     if missing == "onnx":
         with pytest.raises(PlanspaceError, match=r"^[^\n]*pip install 'planspace\[onnx\]'\.$"):
             export.export_onnx(embedding, tmp_path / "e.onnx")
-    else:  # it is then not compared, but written
+    else:  # without onnxruntime the file is written, but not compared
         export.export_onnx(embedding, tmp_path / "e.onnx")
     assert (tmp_path / "e.onnx").exists() == (missing == "onnxruntime")
 

@@ -43,15 +43,15 @@ def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
 
 
 @pytest.mark.slow
-def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
+def test_interrupted_training_gives_the_same_weights_bit_for_bit(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(QUICK_FIT, steps=3 * CHUNK, batch=16)
-    fit_embedding(demos, out=tmp_path / "whole", config=config, num_seeds=2, seed=3)
+    fit_embedding(demos, out=tmp_path / "uninterrupted", config=config, num_seeds=2, seed=3)
     run_steps, calls = steps.run_steps, []
 
     def interrupted(*args):
-        if int(args[2]) > 1:  # a stretch, not the single step that looks whether it ended well
+        if int(args[2]) > 1:  # not the single step that checks the stretch before it
             calls.append(1)
             if len(calls) == 2:
                 raise KeyboardInterrupt
@@ -59,32 +59,32 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
 
     monkeypatch.setattr(steps, "run_steps", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        fit_embedding(demos, out=tmp_path / "cut", config=config, num_seeds=2, seed=3)
-    fit_embedding(demos, out=tmp_path / "cut", config=config, num_seeds=2, seed=3)
-    assert len(calls) == 4  # one chunk done, one cut off, and the two that were left: none twice
+        fit_embedding(demos, out=tmp_path / "interrupted", config=config, num_seeds=2, seed=3)
+    fit_embedding(demos, out=tmp_path / "interrupted", config=config, num_seeds=2, seed=3)
+    assert len(calls) == 4  # one done, one interrupted, two after the restart: none is repeated
     name = "embedding.safetensors"
-    assert file_hash(tmp_path / "cut" / name) == file_hash(tmp_path / "whole" / name)
+    assert file_hash(tmp_path / "interrupted" / name) == file_hash(tmp_path / "uninterrupted" / name)
 
 
 @pytest.mark.slow
-def test_a_seed_does_not_depend_on_those_beside_it(demos: Demos, tmp_path: Path) -> None:
+def test_a_seed_does_not_depend_on_the_other_seeds(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=50, batch=16)
-    alone = fit_embedding(demos, out=tmp_path / "alone", config=config, num_seeds=1, seed=1, split_seed=0)
-    beside = fit_embedding(demos, out=tmp_path / "beside", config=config, num_seeds=2)
-    a = alone.require_about().metrics_of_seeds[1]["straightness"]
-    b = beside.require_about().metrics_of_seeds[1]["straightness"]
-    assert a == pytest.approx(b, rel=1e-3)  # batched arithmetic rounds otherwise, no more
+    single = fit_embedding(demos, out=tmp_path / "single", config=config, num_seeds=1, seed=1, split_seed=0)
+    both = fit_embedding(demos, out=tmp_path / "both", config=config, num_seeds=2)
+    a = single.require_about().metrics_of_seeds[1]["straightness"]
+    b = both.require_about().metrics_of_seeds[1]["straightness"]
+    assert a == pytest.approx(b, rel=1e-3)  # only rounding differs between batch sizes
 
 
 @pytest.mark.parametrize("num_seeds", [1, 2, 3, 4, 5, 7, 20, 50])
-def test_seeds_are_stepped_in_twos_and_threes(num_seeds: int) -> None:
+def test_seeds_are_trained_in_groups_of_two_or_three(num_seeds: int) -> None:
     groups = [range(num_seeds)[g] for g in steps.seed_groups(num_seeds)]
     assert [seed for group in groups for seed in group] == list(range(num_seeds))
     assert {len(group) for group in groups} <= ({2, 3} if num_seeds > 1 else {1})
 
 
 @pytest.mark.slow
-def test_the_number_of_cores_does_not_matter_to_the_last_bit(
+def test_weights_do_not_depend_on_the_number_of_cores(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = replace(QUICK_FIT, steps=CHUNK, batch=16)
@@ -95,13 +95,13 @@ def test_the_number_of_cores_does_not_matter_to_the_last_bit(
     assert len(hashes) == 1
 
 
-def test_a_device_that_is_not_there_is_named() -> None:
+def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(UsageError, match="no device 'abacus'"):
         training.use_device("abacus")
 
 
 @pytest.mark.slow
-def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None:
+def test_the_paper_preset_has_raw_inputs(demos: Demos, tmp_path: Path) -> None:
     embedding = fit_embedding(
         demos, out=tmp_path / "e", config=replace(PRESETS["paper"], steps=100), num_seeds=1, seed=0
     )
@@ -111,7 +111,7 @@ def test_the_paper_preset_sees_raw_numbers(demos: Demos, tmp_path: Path) -> None
     assert (paper.objective.linearity, paper.objective.prior, paper.batch) == (0.5, 1.0, 50)
 
 
-def test_the_paper_chooses_by_path_error_where_modern_takes_the_midpoint(demos: Demos) -> None:
+def test_paper_selects_by_path_error_and_modern_by_midpoint_error(demos: Demos) -> None:
     inputs = Inputs.fit(demos.states, demos.info.names, demos.info.units, (1,), "raw")
     read = np.eye(4)
 
@@ -123,13 +123,13 @@ def test_the_paper_chooses_by_path_error_where_modern_takes_the_midpoint(demos: 
     candidates, split = [one_number(c) for c in (0, 2, 3)], demos.split(0)
     path = [measure(e, demos, split["train"]).path_error for e in candidates]
     midpoint = [measure(e, demos, split["validation"]).midpoint_error for e in candidates]
-    assert np.argmin(path) != np.argmin(midpoint)  # or this would show nothing
+    assert np.argmin(path) != np.argmin(midpoint)  # otherwise the test would show nothing
     modern = replace(PRESETS["modern"], z_dim=1)
     assert module.choose(candidates, demos, split, PRESETS["paper"])[0] == np.argmin(path)
     assert module.choose(candidates, demos, split, modern)[0] == np.argmin(midpoint)
 
 
-def test_modern_never_keeps_a_collapsed_seed_beside_a_whole_one(embedding: Embedding, demos: Demos) -> None:
+def test_modern_prefers_a_seed_without_collapsed_dimensions(embedding: Embedding, demos: Demos) -> None:
     embedding = replace(embedding, linear_map=None)
     weights, biases = embedding.encoder
     last = weights[-1].copy()
@@ -141,7 +141,7 @@ def test_modern_never_keeps_a_collapsed_seed_beside_a_whole_one(embedding: Embed
     assert [g.active_dims for g in validation] == [2, 3]
 
 
-def test_finished_training_is_returned_and_other_settings_refused(
+def test_a_finished_embedding_is_loaded_and_other_settings_are_refused(
     demos: Demos, embedding_folder: Path
 ) -> None:
     before = file_hash(embedding_folder / "embedding.json")
@@ -156,10 +156,10 @@ def test_finished_training_is_returned_and_other_settings_refused(
     "broken",
     [pytest.param(99, marks=pytest.mark.slow), 150, pytest.param(249, marks=pytest.mark.slow)],
 )
-def test_divergence_is_caught_at_its_step_and_saved_as_before(
+def test_the_checkpoint_of_a_diverged_training_is_from_before_the_divergence(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: int
 ) -> None:
-    """The update of step `broken` is infinite: the last of a stretch, one inside, the very last."""
+    """The update of step `broken` is infinite: the last of a stretch, one within it, or the last of all."""
 
     def make_optimiser(config):
         def rate(count):
@@ -170,7 +170,7 @@ def test_divergence_is_caught_at_its_step_and_saved_as_before(
     monkeypatch.setattr(steps, "make_optimiser", make_optimiser)
     config = replace(QUICK_FIT, steps=250, batch=16, learning_rate=1e-3 + broken * 1e-9)
     message = rf"diverged at step {broken + 1} for seed 5; .* before, at step {broken}\."
-    for _ in range(2):  # the same again, from there
+    for _ in range(2):  # the second call continues from the checkpoint
         with pytest.raises(PlanspaceError, match=message):
             fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2, seed=5)
         saved = tmp_path / "e" / "checkpoint" / "state.safetensors"
@@ -179,25 +179,25 @@ def test_divergence_is_caught_at_its_step_and_saved_as_before(
     assert not (tmp_path / "e" / "embedding.json").exists()
 
 
-def test_times_that_stand_still_are_refused(demos: Demos, tmp_path: Path) -> None:
+def test_times_that_do_not_increase_are_refused(demos: Demos, tmp_path: Path) -> None:
     still = replace(demos, times=np.zeros_like(demos.times))
     with pytest.raises(PlanspaceError, match="times of a demonstration do not increase"):
         fit_embedding(still, out=tmp_path / "e", config=QUICK_FIT, num_seeds=1)
 
 
-def test_bad_input_leaves_no_folder_behind(demos: Demos, tmp_path: Path) -> None:
+def test_refused_demonstrations_leave_no_folder(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, columns=("elbow",))
     with pytest.raises(PlanspaceError, match="'elbow' is missing"):
         fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert not (tmp_path / "e").exists()
-    short = Demos.from_episodes(demos.info, [_cut(demos, i, 12 if i else 9) for i in range(3)])
+    short = Demos.from_episodes(demos.info, [_shortened(demos, i, 12 if i else 9) for i in range(3)])
     bad = next(name for name, part in short.split(0).items() if 0 in part)
     with pytest.raises(PlanspaceError, match=f"states; the longest of 1 in the {bad} split has 9"):
         fit_embedding(short, out=tmp_path / "e", config=QUICK_FIT, num_seeds=1)
     assert not (tmp_path / "e").exists()
 
 
-def _cut(demos: Demos, i: int, length: int) -> Episode:
+def _shortened(demos: Demos, i: int, length: int) -> Episode:
     e = demos.episode(i)
     return replace(e, states=e.states[:length], controls=e.controls[: length - 1], times=e.times[:length])
 
@@ -221,7 +221,7 @@ def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: 
 
 
 @pytest.mark.slow
-def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) -> None:
+def test_the_encoder_of_the_objective_random_is_not_trained(demos: Demos, tmp_path: Path) -> None:
     short, long = (
         fit_embedding(
             demos,
@@ -238,7 +238,7 @@ def test_a_random_encoder_stays_as_it_was_drawn(demos: Demos, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_named_columns_alone_are_read(demos: Demos, tmp_path: Path) -> None:
+def test_only_the_chosen_columns_are_read(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=30, columns=("hingevel", "hinge"))
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert embedding.inputs.names == ("hingevel", "hinge")
@@ -250,7 +250,7 @@ def test_named_columns_alone_are_read(demos: Demos, tmp_path: Path) -> None:
         )
 
 
-def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) -> None:
+def test_log_split_metrics_and_card_are_saved(embedding_folder: Path, demos: Demos) -> None:
     rows = [json.loads(line) for line in (embedding_folder / "log.jsonl").read_text().splitlines()]
     assert rows[-1]["step"] == QUICK_FIT.steps
     assert len(rows[-1]["bound"]) == len(rows[-1]["path_error"]) == len(rows[-1]["midpoint_error"]) == 2
@@ -269,7 +269,7 @@ def test_curves_split_and_card_are_kept(embedding_folder: Path, demos: Demos) ->
 
 
 @pytest.mark.slow
-def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> None:
+def test_curves_are_written_for_tensorboard(demos: Demos, tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     config = replace(QUICK_FIT, steps=20)
     fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=2, seed=4, tensorboard=True)
@@ -279,7 +279,7 @@ def test_curves_go_to_tensorboard_on_request(demos: Demos, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_running_average_lags_behind(demos: Demos, tmp_path: Path) -> None:
+def test_averaged_weights_change_more_slowly(demos: Demos, tmp_path: Path) -> None:
     def weights(name: str, average: float) -> np.ndarray:
         config = replace(QUICK_FIT, steps=50, average=average)
         return fit_embedding(demos, out=tmp_path / name, config=config, num_seeds=1).encoder[0][0]
@@ -297,7 +297,7 @@ def test_a_running_average_lags_behind(demos: Demos, tmp_path: Path) -> None:
     assert 0 < np.abs(slow - first).mean() < 0.7 * np.abs(last - first).mean()
 
 
-def test_numbers_out_of_range_are_named() -> None:
+def test_settings_out_of_range_are_refused_by_name() -> None:
     for changes, name in (
         ({"z_dim": 0}, "z_dim"),
         ({"spacings": (1, -3)}, "spacings"),
@@ -311,13 +311,13 @@ def test_numbers_out_of_range_are_named() -> None:
 
 
 @pytest.mark.slow
-def test_z_of_any_size(demos: Demos, tmp_path: Path) -> None:
+def test_z_of_ten_dimensions(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=20, z_dim=10)
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)
     assert embedding.encode(np.zeros(4)).shape == (10,)
 
 
-def test_states_too_large_to_be_learned_from_are_refused(demos: Demos, tmp_path: Path) -> None:
+def test_states_with_huge_numbers_are_refused(demos: Demos, tmp_path: Path) -> None:
     states = demos.states.copy()
     states[-1] = 1e300
     with pytest.raises(PlanspaceError, match="states contain a number that is not finite, or larger than 1e"):

@@ -48,8 +48,8 @@ def test_a_straight_line_at_constant_speed_is_perfect() -> None:
     assert g.speed_variation == pytest.approx(0.0, abs=1e-9)
     assert g.midpoint_error == pytest.approx(0.0, abs=1e-9)
     assert g.time_correlation == pytest.approx(1.0)
-    assert g.path_error == pytest.approx(0.0, abs=1e-9)  # chord and length are the same up to C
-    assert g.effective_rank == pytest.approx(1.0)  # ... and worth little: one dimension is left
+    assert g.path_error == pytest.approx(0.0, abs=1e-9)  # chord and length are proportional
+    assert g.effective_rank == pytest.approx(1.0)  # the only flaw: one dimension
 
 
 def test_a_right_angle_by_hand() -> None:
@@ -58,8 +58,8 @@ def test_a_right_angle_by_hand() -> None:
     g = geometry_of(corner)
     assert g.straightness == pytest.approx(np.sqrt(200) / 20)
     assert g.speed_variation == pytest.approx(0.0, abs=1e-12)
-    # spacing 5: t from 5 to 15; off the midpoint only from t = 6 to 14, where |z_t - mid| over |b - a|
-    # with k = t - 10 steps past the corner, arms 5 - k and 5 + k; spacing 10: the one triplet of both ends
+    # spacing 5: t from 5 to 15, with an error only from t = 6 to 14, where the corner is between a and b;
+    # spacing 10: only t = 10
     five = [_corner_error(t, 5) for t in range(5, 16)]
     ten = [_corner_error(10, 10)]
     assert g.midpoint_error == pytest.approx((np.mean(five) + np.mean(ten)) / 2)
@@ -73,13 +73,13 @@ def _corner_error(t: int, s: int) -> float:
     return float(np.linalg.norm(at(t) - (a + b) / 2) / np.linalg.norm(b - a))
 
 
-def test_a_constant_map_wins_nothing() -> None:
+def test_metrics_of_a_constant_z() -> None:
     paths = [np.random.default_rng(i).normal(size=(30 + i, 2)).cumsum(axis=0) for i in range(3)]
     demos = demos_of(*paths)
     g = measure_constant(demos, np.arange(3))
     assert (g.straightness, g.time_correlation, g.effective_rank, g.active_dims) == (0.0, 0.0, 0.0, 0)
-    assert g.midpoint_error == 0.0  # as defined; which is why it never stands alone
-    assert g.decoded_error == pytest.approx(1.0)  # the mean state is one deviation off
+    assert g.midpoint_error == 0.0  # by definition, so it must be read with other metrics
+    assert g.decoded_error == pytest.approx(1.0)  # the error of the mean state is the standard deviation
     duration = np.array([29, 30, 31]) * 0.1
     y = duration / duration.mean()
     assert g.duration_error == pytest.approx(np.abs(1 - y).mean())
@@ -87,12 +87,12 @@ def test_a_constant_map_wins_nothing() -> None:
 
 def test_the_error_of_the_decoded_state_by_hand() -> None:
     states = np.random.default_rng(0).normal(size=(20, 2)) * [1.0, 10.0]
-    off = states.std(axis=0) * [0.3, 0.4]  # mean square (0.09 + 0.16) / 2
+    off = states.std(axis=0) * [0.3, 0.4]  # mean square error (0.09 + 0.16) / 2
     table = measure_each(lambda x: x, lambda x: x + off, demos_of(states), np.array([0]))
     assert summarise(table).decoded_error == pytest.approx(np.sqrt(0.125))
 
 
-def test_intervals_hold_the_value_and_shrink_with_more_demonstrations() -> None:
+def test_intervals_contain_the_value_and_shrink_with_more_demonstrations() -> None:
     rng = np.random.default_rng(0)
     paths = [np.linspace([0.0, 0.0], [1.0, 1.0], 20) + 0.05 * rng.normal(size=(20, 2)) for _ in range(100)]
     few, many = (
@@ -103,32 +103,32 @@ def test_intervals_hold_the_value_and_shrink_with_more_demonstrations() -> None:
         low, high = bootstrap_intervals(table)["straightness"]
         assert low < summarise(table).straightness < high
         widths.append(high - low)
-    assert widths[1] < 0.6 * widths[0]  # by a third, if sqrt(10) were exact
+    assert widths[1] < 0.6 * widths[0]  # the expected factor is 1 / sqrt(10)
     mean, error = few.straightness.mean(), few.straightness.std() / np.sqrt(10)
     low, high = bootstrap_intervals(few)["straightness"]
     assert (low, high) == pytest.approx((mean - 1.96 * error, mean + 1.96 * error), abs=0.5 * error)
 
 
-def test_the_path_error_alone_is_the_same(embedding: Embedding, demos: Demos) -> None:
+def test_the_fast_path_error_equals_the_measured_one(embedding: Embedding, demos: Demos) -> None:
     part = np.array([0, 3, 5])
     assert paper_path_errors([embedding], demos, part)[0] == pytest.approx(
         measure(embedding, demos, part).path_error
     )
 
 
-def test_metrics_follow_the_named_states_whatever_their_order(embedding: Embedding, demos: Demos) -> None:
+def test_metrics_do_not_depend_on_the_order_of_the_states(embedding: Embedding, demos: Demos) -> None:
     shuffled = demos.select(("hingevel", "slider", "hinge", "slidervel"))
     assert shuffled.info.circular_columns == (2,)
     same = tabulate(embedding, shuffled, np.arange(3))
     np.testing.assert_allclose(same.chord, tabulate(embedding, demos, np.arange(3)).chord)
 
 
-def test_the_scale_factor_is_the_best_one() -> None:
+def test_the_scale_factor_minimises_the_squared_error() -> None:
     d, y = np.array([1.0, 2.0, 4.0]), np.array([2.0, 5.0, 7.0])
     best = np.sum((y / y.mean() - _scale(d, y) * d) ** 2)
     assert np.sum(scaled_errors(d, y) ** 2) == pytest.approx(best)
-    for nudge in (-1e-3, 1e-3):
-        assert np.sum((y / y.mean() - (_scale(d, y) + nudge) * d) ** 2) > best
+    for change in (-1e-3, 1e-3):
+        assert np.sum((y / y.mean() - (_scale(d, y) + change) * d) ** 2) > best
 
 
 def _scale(d: np.ndarray, y: np.ndarray) -> float:
@@ -149,8 +149,8 @@ ANCHOR_TOLERANCES = (1e-3, 1e-3, 6e-3, 1e-3, 1e-3)
 
 
 @pytest.mark.parametrize("file", ANCHORS)
-def test_raw_state_anchors_on_the_released_data(released: Path, file: str, tmp_path: Path) -> None:
-    """The numbers measured independently when the project was designed, on all released demos."""
+def test_raw_state_metrics_of_the_released_data(released: Path, file: str, tmp_path: Path) -> None:
+    """They equal those of an independent implementation, on all released demonstrations."""
     import_npz(released / file, tmp_path / "demos", None)
     demos = load_demos(tmp_path / "demos")
     everything = np.arange(len(demos))

@@ -13,7 +13,7 @@ from planspace.errors import PlanspaceError
 NAMES = ("slider", "hinge", "slidervel", "hingevel")
 
 
-def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding, demos: Demos) -> None:
+def test_the_demonstrations_of_the_training_are_measured_by_split(embedding: Embedding, demos: Demos) -> None:
     found = measure_embedding(embedding, demos).to_dict()
     assert set(found["splits"]) == {"train", "validation", "test"}
     assert found["splits"]["test"]["embedding"] == embedding.require_about().metrics["test"]
@@ -27,19 +27,19 @@ def test_its_own_demonstrations_are_measured_split_by_split(embedding: Embedding
     assert found["checks"]["outside_support"] < 0.2
 
 
-def test_a_measurement_is_shown_in_a_few_lines(embedding: Embedding, demos: Demos) -> None:
+def test_a_measurement_has_a_short_representation(embedding: Embedding, demos: Demos) -> None:
     found = measure_embedding(embedding, demos)
     assert repr(found).startswith("Measurement on 1 demonstrations, test split: z (raw state)\n")
     assert "change by a turn" in repr(found) and len(repr(found).splitlines()) <= 10
     assert "<table><caption>Measurement on" in found._repr_html_()
 
 
-def test_other_demonstrations_are_measured_as_one(embedding: Embedding, demos: Demos) -> None:
+def test_other_demonstrations_are_measured_as_one_split(embedding: Embedding, demos: Demos) -> None:
     other = replace(demos, states=demos.states * 1.01)
     assert list(measure_embedding(embedding, other).splits) == ["all"]
 
 
-def test_an_encoder_of_raw_angles_is_caught_by_a_turn(embedding: Embedding, demos: Demos) -> None:
+def test_a_full_turn_changes_z_of_raw_angles(embedding: Embedding, demos: Demos) -> None:
     i = embedding.inputs
     weights = [w.copy() for w in embedding.encoder[0]]
     weights[0] = weights[0][:, :4]
@@ -53,14 +53,16 @@ def test_an_encoder_of_raw_angles_is_caught_by_a_turn(embedding: Embedding, demo
     assert "outside_support" not in found
 
 
-def test_the_true_time_is_correlated_by_rank(embedding: Embedding, rng: np.random.Generator) -> None:
+def test_the_correlation_with_the_true_time_is_of_ranks(
+    embedding: Embedding, rng: np.random.Generator
+) -> None:
     states, goal = rng.normal(size=(40, 4)), np.zeros(4)
     distance = embedding.distance(states, goal)
     assert true_time_correlation(embedding, states, np.exp(distance), goal) == pytest.approx(1.0)
     assert true_time_correlation(embedding, states, -distance, goal) == pytest.approx(-1.0)
 
 
-def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp_path: Path) -> None:
+def test_invalid_files_of_true_times_are_rejected(embedding: Embedding, demos: Demos, tmp_path: Path) -> None:
     good = {
         "states": np.random.default_rng(0).normal(size=(9, 4)),
         "time": np.arange(9.0),
@@ -89,7 +91,7 @@ def test_a_file_of_true_times_is_checked(embedding: Embedding, demos: Demos, tmp
             load_truth(path, NAMES)
 
 
-def test_an_array_alone_and_half_a_file_are_no_truth(tmp_path: Path) -> None:
+def test_single_arrays_and_truncated_files_of_true_times_are_rejected(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.zeros(3))
     np.savez(tmp_path / "b.npz", states=np.zeros((900, 4)))
     (tmp_path / "b.npz").write_bytes((tmp_path / "b.npz").read_bytes()[:-200])
@@ -113,12 +115,12 @@ def test_an_embedding_without_a_training_record_is_measured_on_one_split(
     assert list(measure_embedding(replace(embedding, about=None), demos).splits) == ["all"]
 
 
-def test_numbers_too_large_to_be_measured_are_refused(embedding: Embedding, demos: Demos) -> None:
+def test_huge_numbers_are_refused(embedding: Embedding, demos: Demos) -> None:
     states = demos.states.copy()
     states[3] = 1e300
     with pytest.raises(PlanspaceError, match="states contain a number that is not finite, or larger than 1e"):
         measure_embedding(embedding, replace(demos, states=states))
-    states[3] = 0.99e15  # of a state that can be, but not what is made of it
+    states[3] = 0.99e15  # allowed in a state, but z becomes too large
     weights = [weight * np.float32(1e15) for weight in embedding.encoder[0]]
     scaled = replace(embedding, encoder=(weights, embedding.encoder[1]))
     with pytest.raises(PlanspaceError, match="z of these states, or .* contain a number"):

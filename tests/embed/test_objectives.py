@@ -46,7 +46,7 @@ def terms(objective: Objective, model: PlanSpaceModel, s: Sample, key: jax.Array
 
 
 def identity(num: int) -> PlanSpaceModel:
-    """A linear model whose means are the inputs, with deviation 1 for z and for the decoded state."""
+    """A linear model whose means are the inputs; the standard deviations of z and of decoded states are 1."""
     model = PlanSpaceModel(num, num, (), 0.0, key=jr.key(0))
     eye = jnp.concatenate([jnp.eye(num), jnp.zeros((num, num))])
     return eqx.tree_at(lambda m: (m.encode.weights[0], m.decode.weights[0]), model, (eye, eye))
@@ -60,11 +60,13 @@ def test_midpoint_by_hand() -> None:
     assert float(doubled.mu[0]) == 2.0
     assert float(doubled.sigma[0]) == pytest.approx(math.sqrt(5.0))
     assert float(plain.sigma[0]) == pytest.approx(math.sqrt(2.5))
-    same = between(a, a, HALF, double_variance=True)  # so that the midpoint of two equal ones is the same
+    same = between(
+        a, a, HALF, double_variance=True
+    )  # the midpoint of two equal distributions is the same one
     assert float(kl(same, a)) == pytest.approx(0.0, abs=1e-7)
 
 
-def test_a_quarter_of_the_way_by_hand() -> None:
+def test_a_point_at_a_quarter_by_hand() -> None:
     a = DiagonalGaussian(jnp.array([0.0]), jnp.array([1.0]))
     b = DiagonalGaussian(jnp.array([4.0]), jnp.array([3.0]))
     q = between(a, b, jnp.array(0.25), double_variance=True)
@@ -81,7 +83,7 @@ def test_the_bound_is_the_sum_of_its_terms() -> None:
 
 
 @pytest.mark.parametrize("weight", ["curvature", "distance"])
-def test_further_terms_only_take_away(weight: str) -> None:
+def test_curvature_and_distance_reduce_the_bound(weight: str) -> None:
     with_term = replace(PAPER, **{weight: 2.0})
     plain, more = (terms(c, MODEL, sample(), jr.key(2)) for c in (PAPER, with_term))
     term = more[{"distance": "distance_error"}.get(weight, weight)]
@@ -99,13 +101,13 @@ def test_terms_of_a_straight_line_by_hand() -> None:
     assert float(t["curvature"]) == pytest.approx(0.0, abs=1e-5)
     assert float(t["distance_error"]) == pytest.approx(0.0, abs=1e-4)  # |z_b - z_a| = 5 durations
     bent = eqx.tree_at(lambda s: s.x, line, jnp.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]]))
-    # a right angle: 1 - cos = 1; from (0.75, 1) to (3, 0), with deviation 1: KL = (2.25^2 + 1) / 2
+    # a right angle: 1 - cos = 1; from (0.75, 1) to (3, 0), with standard deviation 1: KL = (2.25^2 + 1) / 2
     t = terms(config, model, bent, jr.key(0))
     assert float(t["curvature"]) == pytest.approx(1.0, abs=1e-5)
     assert float(t["midpoint_kl"]) == pytest.approx((2.25**2 + 1) / 2, rel=1e-5)
 
 
-def test_states_anywhere_are_auto_encoded_by_hand() -> None:
+def test_the_term_of_states_off_the_demonstrations_by_hand() -> None:
     model, x = identity(2), jnp.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
     s = Sample(x, HALF, jnp.array(1.0), jnp.array([3.0, 4.0]), jnp.zeros(0))
     low, high = (terms(replace(PAPER, off_data_weight=w), model, s, jr.key(0)) for w in (1.0, 3.0))
@@ -117,14 +119,16 @@ def test_states_anywhere_are_auto_encoded_by_hand() -> None:
 
 
 @pytest.mark.parametrize(("name", "term"), [("straightening", "curvature"), ("e2c", "dynamics_kl")])
-def test_rivals_weigh_their_own_term_and_the_prior(name, term: str) -> None:
+def test_straightening_and_e2c_apply_their_weights(name, term: str) -> None:
     def bound(**weights: float) -> dict:
         objective: Any = OBJECTIVES[name]
         return terms(replace(objective, **weights), MODEL, sample(), jr.key(0))
 
-    plain, straighter, freer = bound(linearity=1.0), bound(linearity=3.0), bound(linearity=1.0, prior=0.5)
-    assert float(plain["bound"] - straighter["bound"]) == pytest.approx(2 * float(plain[term]), rel=1e-3)
-    assert float(plain["bound"] - freer["bound"]) == pytest.approx(0.4 * float(plain["prior_kl"]), rel=1e-3)
+    plain, linear, weak_prior = bound(linearity=1.0), bound(linearity=3.0), bound(linearity=1.0, prior=0.5)
+    assert float(plain["bound"] - linear["bound"]) == pytest.approx(2 * float(plain[term]), rel=1e-3)
+    assert float(plain["bound"] - weak_prior["bound"]) == pytest.approx(
+        0.4 * float(plain["prior_kl"]), rel=1e-3
+    )
     assert float(plain[term]) > 0
 
 
@@ -136,7 +140,7 @@ def test_a_vae_by_hand() -> None:
     assert float(t["bound"]) == pytest.approx(float(t["log_likelihood"]) - 12.5, rel=1e-5)
 
 
-def test_balance_turns_the_gradient_and_leaves_the_value() -> None:
+def test_balance_changes_the_gradient_but_not_the_value() -> None:
     one = jnp.ones(1)
 
     def gradient(balance: float) -> tuple[float, float, float]:
@@ -147,20 +151,20 @@ def test_balance_turns_the_gradient_and_leaves_the_value() -> None:
         at_p, at_q = jax.grad(f, (0, 1))(p, q)
         return float(f(p, q)), float(at_p[0]), float(at_q[0])
 
-    # KL = (p - q)^2 / 2 = 2, its gradients -2 and 2; balanced by 0.8: 0.4 of the one, 1.6 of the other
+    # KL = (p - q)^2 / 2 = 2, its gradients -2 and 2; balance 0.8: 0.4 times the first, 1.6 times the second
     assert gradient(0.5) == pytest.approx((2.0, -2.0, 2.0))
     assert gradient(0.8) == pytest.approx((2.0, -0.8, 3.2))
 
 
 @pytest.mark.parametrize(("metric", "expected"), [("l2", 5.0), ("squared", 25.0), ("l1", 7.0)])
-def test_direct_is_minus_the_distance_to_the_decoded_midpoint(metric, expected: float) -> None:
-    x = jnp.array([[0.0, 0.0], [4.0, 5.0], [2.0, 2.0]])  # the midpoint (1, 1) is (3, 4) off
+def test_the_direct_loss_is_the_distance_to_the_decoded_midpoint(metric, expected: float) -> None:
+    x = jnp.array([[0.0, 0.0], [4.0, 5.0], [2.0, 2.0]])  # the midpoint is (1, 1), (3, 4) away from x_t
     s = Sample(x, HALF, jnp.array(1.0), x[0], jnp.zeros(0))
     t = terms(Direct(metric=metric), identity(2), s, jr.key(0))
     assert float(t["bound"]) == pytest.approx(-expected, rel=1e-5)
 
 
-def test_distance_regresses_on_time() -> None:
+def test_the_distance_error_by_hand() -> None:
     x = jnp.array([[0.0, 0.0], [1.0, 1.0], [3.0, 4.0]])
     s = Sample(x, HALF, jnp.array(3.0), x[0], jnp.zeros(0))
     t = terms(Distance(), identity(2), s, jr.key(0))
@@ -184,11 +188,13 @@ def test_e2c_dynamics_of_a_known_linear_system() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["random", "distance"])
-def test_the_decoder_of_an_objective_without_one_leaves_the_encoder_alone(name) -> None:
+def test_fitting_only_the_decoder_gives_the_encoder_no_gradient(name) -> None:
     def loss(model: PlanSpaceModel) -> jax.Array:
         s = sample()
         exact = jnp.linalg.norm(model.encode(s.x[2]).mu - model.encode(s.x[0]).mu)
-        s = eqx.tree_at(lambda s: s.duration, s, jax.lax.stop_gradient(exact))  # no error of distance left
+        s = eqx.tree_at(
+            lambda s: s.duration, s, jax.lax.stop_gradient(exact)
+        )  # so that the distance error is 0
         return terms(OBJECTIVES[name], model, s, jr.key(0))["bound"]
 
     gradient = eqx.filter_grad(loss)(MODEL)
@@ -198,7 +204,7 @@ def test_the_decoder_of_an_objective_without_one_leaves_the_encoder_alone(name) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRAINED)
-def test_a_batch_is_its_samples_and_all_have_a_gradient(name) -> None:
+def test_a_batch_equals_its_samples_and_gradients_are_finite(name) -> None:
     objective, keys = OBJECTIVES[name], jr.split(jr.key(4), 5)
     samples = [sample(i) for i in range(5)]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *samples)
@@ -211,14 +217,14 @@ def test_a_batch_is_its_samples_and_all_have_a_gradient(name) -> None:
 
 
 def test_equal_states_have_finite_gradients() -> None:
-    """A norm of zero has none of its own."""
+    """A norm has no gradient at zero."""
     s = eqx.tree_at(lambda s: s.x, sample(), jnp.zeros((3, 4)))
     config = replace(PAPER, curvature=1.0, distance=1.0)
     gradient = eqx.filter_grad(lambda m: terms(config, m, s, jr.key(0))["bound"])(MODEL)
     assert all(bool(jnp.isfinite(g).all()) for g in jax.tree.leaves(gradient))
 
 
-def test_deviations_are_elu_plus_one_above_the_floor() -> None:
+def test_standard_deviations_are_above_the_floor() -> None:
     for x in jr.normal(jr.key(5), (20, 4)) * 10:
         assert (MODEL.encode(x).sigma > 0).all()
         assert (MODEL.decode(MODEL.encode(x).mu).sigma > 0.1).all()

@@ -1,4 +1,4 @@
-"""A stranger's objective, in a file of its own, against a shipped one with the same loss; and misfits."""
+"""A user's objective, compared with a shipped one with the same loss; and invalid objectives."""
 
 import json
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ PAGE = r"[Ss]ee docs/howto/own-objective.md\."
 
 
 @pytest.mark.slow
-def test_a_function_gives_the_embedding_of_the_shipped_objective_with_the_same_loss(demos: Demos) -> None:
+def test_a_function_with_the_loss_of_a_shipped_objective_gives_the_same_embedding(demos: Demos) -> None:
     ours = fit_embedding(demos, "direct", config=CONFIG, num_seeds=2, verbose=False)
     own = fit_embedding(demos, midpoint_loss, config=CONFIG, num_seeds=2, verbose=False)
     np.testing.assert_allclose(own.encode(demos.states), ours.encode(demos.states), atol=1e-3)
@@ -55,7 +55,7 @@ def test_a_class_draws_its_samples_and_its_settings_and_terms_are_recorded(
 
 
 @pytest.mark.slow
-def test_other_settings_of_an_own_objective_are_not_continued(demos: Demos, tmp_path: Path) -> None:
+def test_a_changed_setting_of_an_own_objective_is_refused(demos: Demos, tmp_path: Path) -> None:
     fit_embedding(demos, Contrast(), config=replace(CONFIG, steps=5), out=tmp_path / "e", num_seeds=1)
     with pytest.raises(PlanspaceError, match=r"fit.objective.margin was 3.0, now 2.0"):
         fit_embedding(demos, Contrast(2.0), config=replace(CONFIG, steps=5), out=tmp_path / "e", num_seeds=1)
@@ -109,7 +109,7 @@ class OneDraw(Contrast):
         (OneDraw(), "`draw_triplets` of an Objective must return Triplets, got .*"),
     ],
 )
-def test_a_misfit_is_refused_before_anything_is_written(
+def test_an_invalid_objective_is_refused_before_anything_is_written(
     given: Any, message: str, demos: Demos, tmp_path: Path
 ) -> None:
     with pytest.raises(UsageError, match=message + "(?s:.*)" + PAGE):

@@ -27,24 +27,24 @@ def test_more_components_than_inputs_are_refused() -> None:
         principal_components(inputs, np.arange(9.0)[:, None], 3)
 
 
-def test_turning_orders_whitens_and_scales(embedding: Embedding, demos: Demos) -> None:
+def test_the_linear_map_sorts_whitens_and_scales(embedding: Embedding, demos: Demos) -> None:
     plain = replace(embedding, linear_map=None)
     latent = plain.encode(demos.states)
     values = np.linalg.eigvalsh(np.cov(latent.T))[::-1]
     for whitening in (0.0, 0.3, 1.0):
         linear_map = principal_map(plain, demos.states, whitening=whitening, std=2.5)
-        turned = replace(plain, linear_map=linear_map)
-        z = turned.encode(demos.states)
+        mapped = replace(plain, linear_map=linear_map)
+        z = mapped.encode(demos.states)
         covariance = np.cov(z.T)
         after = values ** (1 - whitening)
         np.testing.assert_allclose(covariance, np.diag(after * 2.5**2 / after.mean()), atol=0.01)
         np.testing.assert_allclose(
-            turned.decode(z), plain.decode(latent), rtol=1e-3, atol=1e-3
+            mapped.decode(z), plain.decode(latent), rtol=1e-3, atol=1e-3
         )  # nothing is lost
         _, sigma = plain.encode_distribution(demos.states)
         sampled = latent + sigma * np.random.default_rng(0).normal(size=(500, *sigma.shape))
         spread = linear_map(sampled, np.zeros_like(sampled))[0].std(axis=0)
-        np.testing.assert_allclose(turned.encode_distribution(demos.states)[1], spread, rtol=0.2)
+        np.testing.assert_allclose(mapped.encode_distribution(demos.states)[1], spread, rtol=0.2)
 
 
 def test_straight_lines_stay_straight(embedding: Embedding, demos: Demos) -> None:

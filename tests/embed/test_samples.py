@@ -21,7 +21,7 @@ def inputs_of(demos: Demos) -> Inputs:
     return Inputs.fit(demos.states, info.names, info.units, info.circular_columns, "trig")
 
 
-def test_a_batch_says_how_far_along_its_middle_is(demos: Demos) -> None:
+def test_samples_know_the_fraction_of_time_and_the_duration(demos: Demos) -> None:
     config, train = PRESETS["modern"], np.arange(3)
     samples = make_samples(demos, train, inputs_of(demos), config, 0)
     batch = samples.draw(jr.key(0), 1000)
@@ -33,19 +33,19 @@ def test_a_batch_says_how_far_along_its_middle_is(demos: Demos) -> None:
     np.testing.assert_allclose(samples.w, (t_t - t_a) / (t_b - t_a), rtol=1e-5)
     np.testing.assert_allclose(samples.duration, (t_b - t_a) / mean_duration, rtol=1e-5)
     assert 0 < float(batch.w.min()) < 0.2 and 0.8 < float(batch.w.max()) < 1
-    # the longest are whole demonstrations
+    # the longest triplets span whole demonstrations
     assert float(samples.duration.max()) == pytest.approx(
         max(demos.episode(i).times[-1] for i in range(3)) / mean_duration, rel=1e-5
     )
 
 
-def test_even_spacings_put_the_middle_in_the_middle(demos: Demos) -> None:
+def test_with_spacings_the_fraction_of_time_is_one_half(demos: Demos) -> None:
     config = replace(PRESETS["modern"], spacings=PAPER_SPACINGS)
     samples = make_samples(demos, np.arange(3), inputs_of(demos), config, 0)
     np.testing.assert_allclose(samples.w, 0.5, rtol=1e-4)
 
 
-def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> None:
+def test_states_off_the_demonstrations_have_valid_angles_and_a_wider_range(demos: Demos) -> None:
     inputs = inputs_of(demos)
     samples = make_samples(demos, np.arange(8), inputs, PRESETS["modern"], 0)
     batch = samples.draw(jr.key(0), 3000)
@@ -55,13 +55,13 @@ def test_states_anywhere_mix_demonstrations_but_not_an_angle(demos: Demos) -> No
     train = demos.states[demos.rows(np.arange(8))]
     middle = np.asarray(samples.triplets)[:, 1]
     spread = demos.states[middle].std(axis=0)
-    for column in (0, 2, 3):  # half as wide again
+    for column in (0, 2, 3):  # 1.5 times as wide
         assert states[:, column].std() == pytest.approx(1.5 * spread[column], rel=0.1)
-    assert np.abs(np.corrcoef(states[:, 1], states[:, 3])[0, 1]) < 0.1  # put together at random
-    assert np.abs(np.corrcoef(train[:, 1], train[:, 3])[0, 1]) > 0.2  # which plans are not
+    assert np.abs(np.corrcoef(states[:, 1], states[:, 3])[0, 1]) < 0.1  # combined at random
+    assert np.abs(np.corrcoef(train[:, 1], train[:, 3])[0, 1]) > 0.2  # correlated in plans
 
 
-def test_shuffling_keeps_each_members_states_and_times_and_breaks_the_plans(demos: Demos) -> None:
+def test_shuffled_triplets_have_the_same_states_and_times_in_another_order(demos: Demos) -> None:
     def source() -> TripletSource:
         return TripletSource(demos, np.arange(8), (1,), 0.5, np.random.default_rng(0))
 
@@ -73,7 +73,7 @@ def test_shuffling_keeps_each_members_states_and_times_and_breaks_the_plans(demo
     assert np.mean(mixed[:, 1] - mixed[:, 0] == 1) < 0.1
 
 
-def test_e2c_takes_single_steps_and_their_controls(demos: Demos) -> None:
+def test_e2c_draws_single_steps_with_their_controls(demos: Demos) -> None:
     config = PRESETS["modern"].with_objective("e2c")
     samples = make_samples(demos, np.arange(len(demos)), inputs_of(demos), config, 0)
     a, t, _ = np.asarray(samples.triplets).T
@@ -82,7 +82,9 @@ def test_e2c_takes_single_steps_and_their_controls(demos: Demos) -> None:
     row = int(demos.offsets[1])
     expected = first.controls[0] / demos.controls.std(axis=0)
     np.testing.assert_allclose(samples.controls[row], expected, rtol=1e-5)
-    assert float(jnp.abs(samples.controls[row - 1]).max()) == 0.0  # the last state of the one before has none
+    assert (
+        float(jnp.abs(samples.controls[row - 1]).max()) == 0.0
+    )  # the last state of a demonstration has no control
 
 
 def test_e2c_without_controls_is_refused() -> None:
