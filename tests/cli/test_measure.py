@@ -64,7 +64,7 @@ def test_other_demos_are_drawn_whole_and_json_stays_json(
 
 
 @pytest.mark.parametrize(
-    ("row", "seeds", "blamed"),
+    ("row", "seeds", "file"),
     [
         ({"step": 1, "path_error": "small", "bound": 1}, [0, 1], "log.jsonl"),
         ({"step": 1, "path_error": [1, 2], "bound": [[1], [2]]}, [0, 1], "log.jsonl"),
@@ -73,10 +73,10 @@ def test_other_demos_are_drawn_whole_and_json_stays_json(
         ({"step": 1, "path_error": [1, 2], "bound": [1, 2]}, 3, "embedding.json"),
     ],
 )
-def test_a_log_that_lies_is_named_before_anything_is_drawn(
+def test_an_invalid_log_or_description_is_reported_before_anything_is_drawn(
     row: dict,
     seeds: Any,
-    blamed: str,
+    file: str,
     capsys: pytest.CaptureFixture[str],
     embedding_folder: Path,
     demo_folder: Path,
@@ -90,7 +90,7 @@ def test_a_log_that_lies_is_named_before_anything_is_drawn(
     code, out, err = call(capsys, "measure", folder, demo_folder, "--plot", tmp_path / "p")
     assert (code, out) == (1, "") and list(tmp_path.glob("p/*")) == []
     (line,) = [line for line in err.splitlines() if line.startswith("planspace: ")]
-    assert str(folder / blamed) in line and "planspace repair" in line
+    assert str(folder / file) in line and "planspace repair" in line
 
 
 def test_an_embedding_goes_out_as_onnx(

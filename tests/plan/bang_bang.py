@@ -40,5 +40,5 @@ BANG_BANG = BangBang()
 
 
 def bang_bang(query, rng):
-    """The same as a function."""
+    """`BangBang.plan` as a function."""
     return BANG_BANG.plan(query, rng)

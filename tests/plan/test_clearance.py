@@ -15,7 +15,7 @@ def clearance() -> Clearance:
 
 
 def test_distances_are_zero_where_contacts_begin(clearance: Clearance, rng: np.random.Generator) -> None:
-    """Contacts and distances are two ways through MuJoCo's collision code: they must agree."""
+    """MuJoCo computes contacts and distances separately: they must agree."""
     problem = load_problem("arm-kinematic")
     model, space = problem.compile()
     states = space.sample(rng, 400, np.ones(7))
@@ -28,11 +28,11 @@ def test_distances_are_zero_where_contacts_begin(clearance: Clearance, rng: np.r
     assert distances.max() == pytest.approx(REACH)
 
 
-def test_slopes_predict_small_moves(clearance: Clearance, rng: np.random.Generator) -> None:
+def test_slopes_predict_small_changes(clearance: Clearance, rng: np.random.Generator) -> None:
     space = load_problem("arm-kinematic").compile()[1]
     states = space.sample(rng, 200, np.ones(7))
     before = clearance.distances(states)
-    near = ((before > 0.01) & (before < 0.05)).any(axis=1)  # apart, and near
+    near = ((before > 0.01) & (before < 0.05)).any(axis=1)  # close, but without contact
     states, before = states[near], before[near]
     slopes = clearance.slopes(states, before)
     move = rng.normal(0, 1e-4, states.shape)
@@ -61,4 +61,6 @@ def test_pairs_that_can_collide() -> None:
             <geom name="ghost" size="0.1" contype="0" conaffinity="0"/></body></body></body>
     </worldbody><contact><exclude body1="c" body2="world"/></contact></mujoco>""")
     expected = {(g, x) for g in ("floor", "wall") for x in ("a1", "a2", "b")} | {("a1", "c"), ("a2", "c")}
-    assert set(collidable_pairs(model)) == expected  # not a-b or b-c, parents; not c-world, excluded
+    assert (
+        set(collidable_pairs(model)) == expected
+    )  # without a-b and b-c, which are parent and child, and c-world, which is excluded

@@ -44,7 +44,7 @@ def test_a_planner_that_is_not_shipped_takes_its_own_settings() -> None:
     problem = replace(load_problem("pendulum"), settings=(("witness_size", 0.3), ("step", 0.2)))
     config = PlanConfig.for_problem(problem, planner=Own(tries=5), polish_landing=0.5)
     assert config == PlanConfig(Own(0.2, 5), polish=PolishConfig(landing=0.5))
-    with pytest.raises(UsageError, match="unknown setting 'step'"):  # which SST does not have
+    with pytest.raises(UsageError, match="unknown setting 'step'"):  # SST has no such setting
         PlanConfig.for_problem(problem)
     with pytest.raises(UsageError, match="setting 'label' is not a number"):
         PlanConfig.for_problem(problem, planner=Own(), label=3)

@@ -44,16 +44,16 @@ def test_interrupted_planning_ends_like_uninterrupted_planning(
     monkeypatch.setattr(Pipeline, "plan", counted)
     with pytest.raises(KeyboardInterrupt):
         plan_into(problem, out, num=12, seed=0, config=config, workers=0)
-    assert len(load_demos(out)) == 11  # a full shard, and the plan that was done when it was stopped
+    assert len(load_demos(out)) == 11  # a full shard, and a plan that was finished before the interrupt
     plan_into(problem, out, num=12, seed=0, config=config, workers=0)
-    assert planned == [*range(12), 11]  # nothing on disk was planned again
+    assert planned == [*range(12), 11]  # only the interrupted plan is repeated
     assert load_demos(out).hash == load_demos(tmp_path / "alone").hash
 
 
 @pytest.mark.slow
 def test_plans_do_not_depend_on_the_number_of_workers(demos: Demos, tmp_path: Path) -> None:
     plan_into(load_problem("cartpole-swingup"), tmp_path, num=12, seed=0, config=QUICK_PLANNER, workers=3)
-    assert load_demos(tmp_path).hash == demos.hash  # planned by one for each core
+    assert load_demos(tmp_path).hash == demos.hash  # with one worker per core
 
 
 def test_a_finished_dataset_stays_as_it_is_and_other_settings_are_refused(demo_folder: Path) -> None:
@@ -65,7 +65,7 @@ def test_a_finished_dataset_stays_as_it_is_and_other_settings_are_refused(demo_f
         plan_into(problem, demo_folder, num=12, seed=7, config=QUICK_PLANNER)
 
 
-def test_failed_plans_are_counted_and_the_others_kept(
+def test_failed_plans_are_counted_and_the_others_are_saved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan, failure = Pipeline.plan, Failure("no path found within the budget", 0.25)
@@ -86,9 +86,9 @@ def test_failed_plans_are_counted_and_the_others_kept(
         plan_into(problem, tmp_path, num=3, seed=0, config=QUICK_PLANNER, workers=0)
 
 
-def test_an_unreachable_goal_stops_at_its_budget_and_reports_the_nearest_distance(tmp_path: Path) -> None:
+def test_planning_for_an_unreachable_goal_stops_and_reports_the_nearest_distance(tmp_path: Path) -> None:
     problem = load_problem("cartpole-swingup")
-    # at rest in the middle with the pole level: no control holds it there, and no tree finds it
+    # at rest with a horizontal pole: no control can hold it there
     level = (0.0, np.pi / 2, 0.0, 0.0)
     hanging = replace(problem, goal=Box(level, level), start=Box((0.0, 3.1, 0.0, 0.0), (0.0, 3.1, 0.0, 0.0)))
     hopeless = PlanConfig(
@@ -98,7 +98,9 @@ def test_an_unreachable_goal_stops_at_its_budget_and_reports_the_nearest_distanc
     )
     with pytest.raises(PartialResult, match="1 of 1 plans .* The nearest came within [0-9.]+ of it"):
         plan_into(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=0)
-    with pytest.raises(PartialResult, match="1 of 1 plans .* The nearest came within"):  # said again
+    with pytest.raises(
+        PartialResult, match="1 of 1 plans .* The nearest came within"
+    ):  # a second call reports it again
         plan_into(hanging, tmp_path, num=1, seed=0, config=hopeless, workers=0)
 
 
@@ -117,8 +119,8 @@ def test_a_predicate_without_a_name_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "demos").exists()
 
 
-def test_settings_that_version_0_1_0_saved_are_read_as_todays() -> None:
-    """Its manifests recorded the settings of all planners, used or not."""
+def test_settings_of_version_0_1_0_are_read_under_today_s_names() -> None:
+    """Its manifests contain the settings of all planners, also of those that were not used."""
     golden = Path(__file__).parents[1] / "golden" / "2026-11" / "demos" / "manifest.json"
     saved = json.loads(golden.read_text())["settings"]
     config = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=10))

@@ -32,26 +32,26 @@ def test_the_linear_model_predicts_small_changes(name: str, rng: np.random.Gener
     assert np.abs(predicted).max() > 1e-4, problem.name
 
 
-def test_at_a_bound_the_control_is_moved_inwards(rng: np.random.Generator) -> None:
+def test_at_a_limit_the_control_is_only_moved_inwards(rng: np.random.Generator) -> None:
     simulator = make("cartpole-swingup")
     states = rng.uniform(-0.1, 0.1, (3, 4))
     _, inner = linearise.along(simulator, states, np.full((3, 1), 2.9))
-    _, bound = linearise.along(simulator, states, np.full((3, 1), 3.0))  # MuJoCo would clip 3 + a nudge
+    _, bound = linearise.along(simulator, states, np.full((3, 1), 3.0))  # MuJoCo would clip a larger control
     np.testing.assert_allclose(bound, inner, rtol=1e-4)
 
 
-def test_sensitivities_are_products_of_the_steps(rng: np.random.Generator) -> None:
+def test_sensitivities_are_products_of_the_step_matrices(rng: np.random.Generator) -> None:
     a, b = rng.normal(size=(3, 2, 2)), rng.normal(size=(3, 2, 1))
     answer = linearise.sensitivities(a, b)
     # x_3 = A_2 A_1 B_0 u_0 + A_2 B_1 u_1 + B_2 u_2
     expected = np.hstack([a[2] @ a[1] @ b[0], a[2] @ b[1], b[2]])
     np.testing.assert_allclose(answer[3], expected)
     np.testing.assert_array_equal(answer[0], 0)
-    np.testing.assert_array_equal(answer[1][:, 1:], 0)  # the future changes nothing
+    np.testing.assert_array_equal(answer[1][:, 1:], 0)  # later controls have no effect
 
 
-def test_tracking_gains_hold_an_unstable_line() -> None:
-    a, b = np.full((40, 1, 1), 1.5), np.ones((40, 1, 1))  # grows by half each step
+def test_tracking_gains_stabilise_an_unstable_system() -> None:
+    a, b = np.full((40, 1, 1), 1.5), np.ones((40, 1, 1))  # x grows by a factor of 1.5 per step
     gains = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
     x = 1.0
     for k in range(40):
@@ -59,7 +59,7 @@ def test_tracking_gains_hold_an_unstable_line() -> None:
     assert abs(x) < 1e-6
 
 
-def test_a_quadrotor_hovers_at_its_weight() -> None:
+def test_the_equilibrium_control_of_a_quadrotor_is_its_weight() -> None:
     simulator = make("quadrotor")
     level = np.zeros(13)
     level[3] = 1.0

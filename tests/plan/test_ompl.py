@@ -24,7 +24,7 @@ needs_ompl = pytest.mark.skipif(importlib.util.find_spec("ompl") is None, reason
 
 
 def with_slow(algorithms: tuple[str, ...], quick: str) -> list[Any]:
-    """All algorithms; those that take their whole time are marked slow."""
+    """All algorithms; those that use all of their time are marked slow."""
     return [a if a == quick else pytest.param(a, marks=pytest.mark.slow) for a in algorithms]
 
 
@@ -32,7 +32,7 @@ def with_slow(algorithms: tuple[str, ...], quick: str) -> list[Any]:
 @needs_ompl
 @pytest.mark.parametrize("algorithm", with_slow(CONTROL_ALGORITHMS, "RRT"))
 def test_every_control_planner_finds_an_easy_path(algorithm: str) -> None:
-    """A pendulum near the top, to within a generous 0.4."""
+    """A pendulum that starts near the top, with a large tolerance of 0.4."""
     problem = replace(load_problem("pendulum"), tolerance=0.4)
     planner = OMPL(algorithm, seconds=3.0)
     pipeline, start = Pipeline(problem, PlanConfig(planner)), np.array([0.25, 0.6])
@@ -48,7 +48,7 @@ def test_every_control_planner_finds_an_easy_path(algorithm: str) -> None:
 @needs_ompl
 @pytest.mark.parametrize("algorithm", with_slow(GEOMETRIC_ALGORITHMS, "RRTConnect"))
 def test_every_geometric_planner_finds_a_path(algorithm: str, tmp_path: Path) -> None:
-    """On the near side of the post: a slow machine must find it too."""
+    """The goal is on the same side of the post, so that slow machines find a path in time."""
     near = (-0.6, 0.8, 0.0, 1.1, 0.0, 0.0, 0.0)
     problem = replace(load_problem("arm-kinematic"), goal=Box(near, near), tolerance=0.2)
     config = PlanConfig.for_problem(problem, planner=OMPL(algorithm, seconds=3.0), polish_max_iterations=0)
@@ -59,7 +59,7 @@ def test_every_geometric_planner_finds_a_path(algorithm: str, tmp_path: Path) ->
 
 @pytest.mark.ompl
 @needs_ompl
-def test_a_crash_costs_one_plan_and_is_reported(
+def test_a_crash_fails_one_plan_and_is_reported(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr(process, "_child", _abort)

@@ -63,7 +63,7 @@ def test_a_users_planner_and_the_shipped_one_take_the_shortest_time(problem: ps.
     shipped = ps.plan_demos(problem, 4, planner="sst", workers=0, verbose=False)
     for demos in (own, shipped):
         extra = extra_steps(demos)
-        assert extra.min() >= 0 and extra.max() < 1, extra  # the first whole step after the shortest time
+        assert extra.min() >= 0 and extra.max() < 1, extra  # the shortest time, rounded up to a whole step
     np.testing.assert_array_equal(own.states[own.offsets[:-1]], shipped.states[shipped.offsets[:-1]])
 
 
@@ -72,7 +72,9 @@ def test_without_polish_the_path_is_stored_as_the_planner_returned_it(problem: p
     demos = ps.plan_demos(problem, 2, planner=BangBang(), config=unpolished, workers=0, verbose=False)
     assert (np.abs(demos.controls) == 1.0).all()  # bang-bang
     extra = extra_steps(demos)
-    assert extra.min() >= 0 and extra.max() < 7, extra  # it goes on to the middle of the goal region
+    assert extra.min() >= 0 and extra.max() < 7, (
+        extra
+    )  # the unpolished plan continues to the middle of the goal region
 
 
 def test_a_function_is_a_planner_too(problem: ps.Problem) -> None:
@@ -115,15 +117,13 @@ class Returns:
         (Failure("far", 0.5, np.zeros((3, 2))), r"must return controls of shape .* got shape \(3, 2\)"),
     ],
 )
-def test_what_a_planner_returns_is_checked_at_its_first_plan(
-    problem: ps.Problem, found: Any, message: str
-) -> None:
+def test_the_first_result_of_a_planner_is_checked(problem: ps.Problem, found: Any, message: str) -> None:
     with pytest.raises(UsageError, match=f"Planner {__name__}:Returns: .*{message}.*{PAGE}"):
         ps.plan_demos(problem, 1, planner=Returns(found), workers=0, verbose=False)
 
 
 @pytest.mark.slow
-def test_the_check_in_a_worker_process_reaches_the_user(problem: ps.Problem, tmp_path: Path) -> None:
+def test_errors_of_the_check_in_a_worker_process_are_raised(problem: ps.Problem, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="must return a Plan or a Failure, got 'a path'") as raised:
         ps.plan_demos(problem, 3, planner=Returns("a path"), workers=2, out=tmp_path / "d", verbose=False)
     assert raised.value.exit_code == 2
@@ -142,16 +142,14 @@ class Searcher:
         (3, "A Planner needs the method plan; 3 has no plan."),
     ],
 )
-def test_objects_that_do_not_fit_are_refused_where_they_are_handed_over(
-    problem: ps.Problem, planner: Any, message: str
-) -> None:
+def test_objects_that_are_not_planners_are_refused(problem: ps.Problem, planner: Any, message: str) -> None:
     with pytest.raises(UsageError, match=f"{message} {PAGE}"):
         ps.plan_demos(problem, 1, planner=planner)
     with pytest.raises(UsageError, match=f"{message} {PAGE}"):
         PlanConfig.for_problem(problem, planner=planner)
 
 
-def test_an_unknown_name_is_refused_with_the_nearest(problem: ps.Problem) -> None:
+def test_an_unknown_name_is_refused_with_a_suggestion(problem: ps.Problem) -> None:
     with pytest.raises(UsageError, match="unknown planner 'ompl-rtt'. Did you mean 'ompl-rrt'"):
         ps.plan_demos(problem, 1, planner="ompl-rtt")
 
@@ -209,7 +207,7 @@ def test_a_planner_whose_module_a_worker_cannot_import_is_refused(
         ps.plan_demos(problem, 1, planner=gone.Own(), workers=1, verbose=False)
 
 
-def test_plans_that_fail_are_warned_of_and_the_others_returned(problem: ps.Problem) -> None:
+def test_failed_plans_give_a_warning_and_the_others_are_returned(problem: ps.Problem) -> None:
     config = PlanConfig.for_problem(problem, planner=BangBang(max_steps=24), polish_max_iterations=0)
     with pytest.warns(UserWarning, match=r"\d of 8 plans found no way to the goal .* came within"):
         demos = ps.plan_demos(problem, 8, config=config, workers=0, verbose=False)

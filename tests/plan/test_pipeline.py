@@ -32,7 +32,7 @@ def test_every_shipped_problem_is_solved(name: str) -> None:
     model, space = problem.compile()
     goal = replace(problem.draw_goal(space, np.random.default_rng(0)), center=episode.goal)
     assert goal.reached(episode.states[-1])
-    assert not goal.reached(episode.states[:-1]).any()  # the record ends where the goal is first entered
+    assert not goal.reached(episode.states[:-1]).any()  # the episode ends at its first state in the goal
     np.testing.assert_allclose(np.diff(episode.times), model.opt.timestep)
     info = state_info(problem)
     assert replay_errors(Demos.from_episodes(info, [episode])).max() <= 1e-6
@@ -64,7 +64,7 @@ def test_polish_makes_plans_shorter_and_restarts_never_longer() -> None:
 
 def test_a_start_in_the_goal_region_is_drawn_again() -> None:
     problem = load_problem("pendulum")
-    near = replace(problem, start=Box((-0.2, 0.0), (0.2, 0.0)))  # half of them are within 0.1
+    near = replace(problem, start=Box((-0.2, 0.0), (0.2, 0.0)))  # half of the starts are within 0.1
     planner = Pipeline(near, PlanConfig.for_problem(near, restarts=1))
     for index in range(4):
         plan = planner.plan(0, index)
@@ -75,7 +75,7 @@ def test_a_start_in_the_goal_region_is_drawn_again() -> None:
 
 
 def test_states_while_holding_must_be_valid() -> None:
-    """A cart that arrives at the wall too fast: it comes back into the goal, but through the wall."""
+    """A cart that arrives too fast: it would go through the wall before it returns to the goal."""
     wall = """<mujoco><worldbody>
       <body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
       <actuator><motor joint="x" ctrllimited="true" ctrlrange="-20 20"/></actuator></mujoco>"""
@@ -96,7 +96,7 @@ def test_states_while_holding_must_be_valid() -> None:
 
 @pytest.mark.slow
 def test_with_hold_false_a_goal_may_be_passed_through() -> None:
-    """The pole level and moving: no control holds it, so with `hold` nothing is accepted."""
+    """A goal with a moving, horizontal pole cannot be held, so with `hold` no plan is accepted."""
     problem = load_problem("cartpole-swingup")
     through = (0.0, 1.57, 0.0, -3.0)
     moving = replace(problem, goal=Box(through, through), goal_weights=(0.2, 1.0, 0.2, 0.2), tolerance=0.2)

@@ -35,7 +35,7 @@ def tree_plan(problem: Problem, simulator: Simulator, start: np.ndarray, goal: G
     return SSTSearch(SST(extensions=256, max_rounds=60), query, np.random.default_rng(0)).solve().controls
 
 
-def test_a_double_integrator_moves_in_its_bang_bang_time() -> None:
+def test_a_double_integrator_reaches_its_shortest_time() -> None:
     """The reacher's joints are double integrators to 1 %: its best time is known.
 
     One joint from rest to rest over d rad with |acceleration| <= 200 takes 2 sqrt(d / 200) without damping:
@@ -80,7 +80,7 @@ def test_effort_is_reduced_at_the_same_duration() -> None:
 
 
 @pytest.mark.slow
-def test_a_plan_that_misses_its_goal_is_landed() -> None:
+def test_a_plan_that_misses_its_goal_is_corrected() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
     goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
@@ -96,14 +96,14 @@ def test_long_plans_are_polished_in_blocks() -> None:
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
     goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
     wandering = tree_plan(problem, simulator, start, goal)
-    config = PolishConfig(max_blocks=len(wandering) // 2)  # so that a block is three steps
+    config = PolishConfig(max_blocks=len(wandering) // 2)  # blocks of three steps
     controls = Polish(simulator, goal, problem.weights(simulator.space), config).run(start, wandering)
     assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
     assert len(controls) % 3 == 0 and len(controls) < len(wandering)
     np.testing.assert_array_equal(controls[::3], controls[1::3])
 
 
-def test_a_goal_out_of_reach_is_given_up() -> None:
+def test_polish_fails_if_the_goal_is_out_of_reach() -> None:
     problem = load_problem("reacher")
     simulator = make(problem)
     goal = problem.draw_goal(simulator.space, np.random.default_rng(0))

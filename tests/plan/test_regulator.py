@@ -25,9 +25,13 @@ def regulator(simulator: Simulator) -> Regulator:
 def test_catches_a_tilted_pole_and_reports_when_it_cannot(simulator: Simulator, regulator: Regulator) -> None:
     starts = np.array([[0.1, 0.2, 0.0, 0.0], [0.0, np.pi, 0.0, 0.0], [0.0, 2 * np.pi + 0.1, 0.0, 0.0]])
     controls, steps, arrived = regulator.finish(simulator, starts)
-    assert arrived.tolist() == [True, False, True]  # hanging is too far; a winding does not matter
+    assert arrived.tolist() == [
+        True,
+        False,
+        True,
+    ]  # the hanging pole is too far away; a full turn does not matter
     assert 1 < steps[0] <= RegulatorConfig().max_steps
-    # the controls it says it applied lead there
+    # the returned controls lead to the goal
     simulator.reset(starts[:1], np.array([0], dtype=np.int32))
     for control in controls[0, : steps[0]]:
         simulator.step(control[None], ids=np.array([0], dtype=np.int32))
@@ -39,14 +43,14 @@ def test_controls_stay_within_the_models_range(regulator: Regulator) -> None:
 
 
 def test_a_direction_without_weight_and_control_is_ignored() -> None:
-    """A rod's turn about itself has no motor: the plain Riccati equation has no solution."""
+    """No motor rotates a rod about its own axis: the plain Riccati equation has no solution."""
     problem = load_problem("ball-pendulum")
     model, space = problem.compile()
     simulator = Simulator(model, space, 32, threads=1)
     goal = problem.draw_goal(space, np.random.default_rng(0))
     regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig(max_steps=150))
     tilted = space.integrate(goal.center, np.array([0.1, -0.1, 0.5, 0.0, 0.0, 0.0]))
-    assert goal.distance(tilted) == pytest.approx(0.2)  # the turn of 0.5 rad counts nothing
+    assert goal.distance(tilted) == pytest.approx(0.2)  # the rotation of 0.5 rad has weight 0
     *_, arrived = regulator.finish(simulator, tilted[None])
     assert arrived.all()
 
@@ -54,7 +58,7 @@ def test_a_direction_without_weight_and_control_is_ignored() -> None:
 def test_a_goal_that_cannot_be_stabilised_has_zero_gain() -> None:
     problem = load_problem("cartpole-swingup")
     model, space = problem.compile()
-    model.actuator_gear[:] = 0.0  # nothing can be done
+    model.actuator_gear[:] = 0.0  # no control has an effect
     simulator = Simulator(model, space, 32, threads=1)
     goal = Goal(space, np.zeros(4), np.zeros(4), np.ones(4), 0.1)
     regulator = Regulator(simulator, goal, WEIGHTS, RegulatorConfig())

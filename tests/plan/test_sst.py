@@ -41,7 +41,7 @@ def test_swings_up_from_hanging_and_is_deterministic() -> None:
     np.testing.assert_array_equal(first.controls, again.controls)
     assert first.controls.shape != other.controls.shape or (first.controls != other.controls).any()
     assert np.abs(first.controls).max() <= 3.0
-    assert first.cost == pytest.approx(0.02 * len(first.controls))  # 0.02 s a step
+    assert first.cost == pytest.approx(0.02 * len(first.controls))  # 0.02 s per step
     simulator = query(0).simulator
     ids = np.array([0], dtype=np.int32)
     simulator.reset(HANGING[None], ids)
@@ -56,12 +56,12 @@ def test_more_rounds_never_make_a_longer_plan() -> None:
 
 
 @pytest.mark.slow
-def test_minimising_effort_gives_lighter_plans_than_duration() -> None:
+def test_minimising_effort_gives_plans_with_less_effort() -> None:
     problem = replace(load_problem("cartpole-swingup"), cost="effort")
     config = replace(CONFIG, min_rounds=30)
     light = solve(0, config, problem)
     simulator = query(0).simulator
-    # 0.02 s a step: a tenth for the time, and the share of the full control, 3
+    # each step of 0.02 s costs a tenth for its time, and its control as a fraction of the largest, 3
     expected = 0.02 * (IDLE_COST * len(light.controls) + np.abs(light.controls).sum() / 3)
     assert light.cost == pytest.approx(expected)
     quick = solve(0, config)
@@ -69,11 +69,11 @@ def test_minimising_effort_gives_lighter_plans_than_duration() -> None:
 
 
 def test_a_budget_of_seconds_is_used_up_to_improve(monkeypatch: pytest.MonkeyPatch) -> None:
-    rounds = itertools.count()  # a clock by which each takes a second
+    rounds = itertools.count()  # a clock that advances one second per call
     monkeypatch.setattr("planspace.plan.sst_search.time", SimpleNamespace(monotonic=lambda: next(rounds)))
     found = solve(0, replace(CONFIG, seconds=40.0, max_rounds=1))
     assert found.arrived and found.simulated_steps > 10 * 256
-    assert next(rounds) == 42  # when it began, 40 rounds, and one too many
+    assert next(rounds) == 42  # one call at the start, 40 rounds, and the call that ends the search
 
 
 def test_gives_up_within_its_budget_and_reports_the_nearest_distance() -> None:
@@ -135,7 +135,7 @@ def test_shrinking_restores_displaced_nodes(rng: np.random.Generator) -> None:
     before = set(tree._winner.tolist())
     tree.shrink(0.5)
     after = set(tree._winner.tolist())
-    assert before < after  # every representative stays one, and the star has more of them
+    assert before < after  # all representatives stay, and some nodes are added
 
 
 def test_costs_are_the_sum_of_durations_to_the_root(rng: np.random.Generator) -> None:

@@ -12,7 +12,7 @@ def column(*values: float) -> np.ndarray:
 
 
 def test_gae_by_hand() -> None:
-    # discount 1/2, lambda 1/2, so an advantage carries over by 1/4
+    # discount 1/2 and lambda 1/2: each advantage includes 1/4 of the next one
     # delta = 1 + 4/2 - 2 = 1;  2 + 6/2 - 4 = 1;  3 + 0 - 6 = -3 (terminated: next value ignored)
     # A_2 = -3;  A_1 = 1 - 3/4 = 1/4;  A_0 = 1 + (1/4)/4 = 1.0625
     advantage = gae(
@@ -27,8 +27,8 @@ def test_gae_by_hand() -> None:
     np.testing.assert_allclose(advantage[:, 0], [1.0625, 0.25, -3.0])
 
 
-def test_truncation_bootstraps_and_stops_the_carry() -> None:
-    # step 0 is truncated with next value 10: delta = 1 + 5 - 2 = 4, and nothing of step 1 leaks into it
+def test_truncation_bootstraps_and_ends_the_sum() -> None:
+    # step 0 is truncated with next value 10: delta = 1 + 5 - 2 = 4; step 1 does not affect it
     advantage = gae(
         column(1, 7),
         column(2, 1),
@@ -41,7 +41,7 @@ def test_truncation_bootstraps_and_stops_the_carry() -> None:
     np.testing.assert_allclose(advantage[:, 0], [4.0, 6.0])
 
 
-def test_termination_and_truncation_differ_by_the_bootstrap() -> None:
+def test_only_truncation_bootstraps() -> None:
     args = (column(1.0), column(2.0), column(10.0))
     ended = gae(*args, column(YES), column(NO), discount=0.9, gae_lambda=1.0)
     cut = gae(*args, column(NO), column(YES), discount=0.9, gae_lambda=1.0)
@@ -60,7 +60,7 @@ def test_lambda_one_is_return_minus_value(rng: np.random.Generator) -> None:
 
 
 def test_returns_by_hand() -> None:
-    # discount 1/2: 4; 2 + 4/2 = 4; then a new episode before: 1 + nothing
+    # discount 1/2, from the last step back: 4; 2 + 4/2 = 4; 1, because its episode ends there
     returns = discounted_returns(
         column(1, 2, 4), column(9, 9, 9), column(YES, NO, YES), column(NO, NO, NO), discount=0.5
     )

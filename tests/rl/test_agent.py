@@ -32,7 +32,7 @@ def arm() -> Arm:
     return Arm(config, Observer(TASK, "raw", "none", "both"), TaskBatch(TASK, 4))
 
 
-def test_the_value_where_the_record_is_cut_comes_from_the_critic(arm: Arm) -> None:
+def test_the_critic_gives_the_value_where_the_record_is_cut(arm: Arm) -> None:
     rollout = roll(TASK, 4, [0, 1], 20).of_seed(1)
     weights = np.random.default_rng(0).normal(size=12)
     state = new_agent(OnPolicy(), arm, key=jr.key(0))
@@ -62,7 +62,7 @@ def samples_of(
 
 
 @pytest.mark.parametrize("normalise", [True, False])
-def test_normalised_advantages_do_not_change_with_a_shift(
+def test_normalised_advantages_do_not_depend_on_a_shift(
     normalise: bool, arm: Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = OnPolicy(normalise_advantages=normalise)
@@ -80,14 +80,16 @@ def test_entropy_is_rewarded(algo: str, a_nat: float, arm: Arm, monkeypatch: pyt
     gae = agent.gae
     settings = find_algorithm(algo).on_policy  # pyright: ignore
     samples_of(settings, arm, monkeypatch, lambda *a, **k: paid.append(a[0]) or gae(*a, **k))
-    entropy = 0.5 * np.log(2 * np.pi * np.e)  # of the standard deviation 1 that a policy begins with
+    entropy = 0.5 * np.log(2 * np.pi * np.e)  # of a new policy, whose standard deviation is 1
     np.testing.assert_allclose(
         paid[0] - roll(TASK, 4, [0], 20).of_seed(0).rewards, a_nat * entropy, atol=1e-6
     )
 
 
-@pytest.mark.parametrize(("rate", "scale"), [(1e30, 1.0), (1e-3, 1e25)])  # weights, Adam's squares overflow
-def test_an_update_of_ppo_that_is_not_finite_says_so(
+@pytest.mark.parametrize(
+    ("rate", "scale"), [(1e30, 1.0), (1e-3, 1e25)]
+)  # the weights overflow, or Adam's squares
+def test_a_ppo_update_with_numbers_that_are_not_finite_raises_diverged(
     rate: float, scale: float, arm: Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     algorithm = PPO(learning_rate=rate)
@@ -98,7 +100,7 @@ def test_an_update_of_ppo_that_is_not_finite_says_so(
         algorithm.update(arm, state, roll(TASK, 4, [0], 20).of_seed(0), key=jr.key(1))
 
 
-def test_a_reward_that_is_not_finite_says_so(arm: Arm) -> None:
+def test_a_reward_that_is_not_finite_raises_diverged(arm: Arm) -> None:
     rollout = roll(TASK, 4, [0], 20).of_seed(0)
     rollout.rewards[5, 2] = np.inf
     for algorithm in PRESETS.values():
@@ -108,7 +110,7 @@ def test_a_reward_that_is_not_finite_says_so(arm: Arm) -> None:
 
 def test_a_wider_network_has_at_least_as_many_parameters(arm: Arm) -> None:
     # 4 -> 32 -> 32 -> 1: 5 * 32 + 33 * 32 + 33 = 1249; with ten more inputs 1569;
-    # 4 -> 36 -> 36 -> 1: 180 + 1332 + 37 = 1549 is too few; 37: 185 + 1406 + 38 = 1629
+    # 4 -> 36 -> 36 -> 1 has 180 + 1332 + 37 = 1549, too few; with 37 units 185 + 1406 + 38 = 1629
     assert matched((32, 32), 4, 14, 1) == (37, 37)
     assert matched((32, 32), 4, 4, 1) == (32, 32)
     algorithm = with_settings(PPO(PPO_2020), match_z=10)

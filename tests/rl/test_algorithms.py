@@ -33,14 +33,14 @@ def test_unknown_names_are_refused() -> None:
         with_settings(TRPO(), lam=0.9)
 
 
-def test_hyperparameters_are_changed_by_name_wherever_they_are() -> None:
+def test_nested_hyperparameters_are_changed_by_name() -> None:
     changed = with_settings(TRPO(), gae_lambda=0.9, max_kl=0.5)
     assert changed == TRPO(OnPolicy(gae_lambda=0.9), max_kl=0.5)
     assert TrainConfig().with_hyperparameters(gae_lambda=0.9).algorithm == TRPO(OnPolicy(gae_lambda=0.9))
 
 
 @pytest.mark.parametrize("algorithm", PRESETS.values(), ids=map("-".join, PRESETS))
-def test_a_saved_run_tells_its_settings(algorithm: Algorithm, tmp_path: Path) -> None:
+def test_settings_are_read_from_a_saved_run(algorithm: Algorithm, tmp_path: Path) -> None:
     config = TrainConfig(algorithm, obs="trig", steps=1, num_seeds=1, seed=7, batch_steps=100)
     train_policies("cartpole", config, out=tmp_path)
     assert read_settings(json.loads((tmp_path / "config.json").read_text())) == ("cartpole", config)
@@ -78,7 +78,7 @@ def test_hyperparameters_out_of_range_are_refused(
         with_settings(PRESETS[preset], **change)
 
 
-def test_settings_that_are_not_whole_are_refused() -> None:
+def test_unknown_and_incomplete_settings_are_refused() -> None:
     saved = json.loads((GOLDEN / "config.json").read_text())
     with pytest.raises(UsageError, match="unknown algorithm 'sac'"):
         read_settings(saved | {"algo": "sac"})

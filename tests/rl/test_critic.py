@@ -10,7 +10,7 @@ def test_features_by_hand() -> None:
     np.testing.assert_allclose(x, [[2, -10, 4, 100, 0.5, 0.25, 0.125, 1]])
 
 
-def test_fit_finds_the_function(rng: np.random.Generator) -> None:
+def test_the_fit_recovers_a_linear_function(rng: np.random.Generator) -> None:
     obs, step = rng.normal(size=(500, 3)), rng.integers(0, 200, 500)
     x = critic.features(obs, step)
     truth = rng.normal(size=x.shape[-1])
@@ -18,20 +18,20 @@ def test_fit_finds_the_function(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(weights, truth, atol=1e-4)
 
 
-def test_redundant_features_do_not_break_it(rng: np.random.Generator) -> None:
+def test_redundant_features_do_not_break_the_fit(rng: np.random.Generator) -> None:
     angle = rng.uniform(-3, 3, 500)
-    obs = np.stack([angle, np.sin(angle), np.cos(angle)], axis=-1)  # sin^2 + cos^2 = 1, the constant
+    obs = np.stack([angle, np.sin(angle), np.cos(angle)], axis=-1)  # sin^2 + cos^2 is the constant feature
     x = critic.features(obs, np.zeros(500, int))
     returns = 3 * np.sin(angle) + 1
     weights = critic.ridge_regression(x, returns)
     np.testing.assert_allclose(x @ weights, returns, atol=1e-3)
 
 
-def test_the_network_is_fitted_in_its_own_scale(rng: np.random.Generator) -> None:
+def test_the_network_critic_fits_returns_of_any_scale(rng: np.random.Generator) -> None:
     fresh = critic.make_critic("mlp", 3, (32, 32), key=jr.key(0))
     obs = rng.normal(50.0, 0.01, (2000, 3)).astype(np.float32)
     step = np.zeros(2000, int)
-    np.testing.assert_array_equal(fresh.values(obs, step), 0.0)  # nothing is known yet
+    np.testing.assert_array_equal(fresh.values(obs, step), 0.0)  # before the first fit
     returns = 1000 + 3000 * (obs[:, 0] - 50).astype(float)
     fitted = fresh
     for _ in range(5):
@@ -40,11 +40,11 @@ def test_the_network_is_fitted_in_its_own_scale(rng: np.random.Generator) -> Non
     assert np.abs(error).mean() < 0.1 * returns.std()
 
 
-def test_statistics_in_parts_are_those_of_the_whole(rng: np.random.Generator) -> None:
+def test_statistics_of_parts_equal_those_of_all_observations(rng: np.random.Generator) -> None:
     obs = rng.normal([3.0, -1.0], [0.1, 20.0], (2, 300, 2))
     empty = ObsStatistics.stacked([ObsStatistics.empty(2)] * 2)
     parts, whole = empty, empty.with_more(obs)
-    assert parts(obs) is obs  # nothing seen, nothing changed
+    assert parts(obs) is obs  # without statistics, observations are not changed
     for part in np.split(obs, [10, 150], axis=1):
         parts = parts.with_more(part)
     np.testing.assert_allclose(parts.mean, obs.mean(axis=1), rtol=1e-9)

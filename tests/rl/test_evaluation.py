@@ -27,7 +27,7 @@ CONFIG = TrainConfig(num_seeds=2, steps=3 * BATCH_STEPS)
 
 
 @pytest.mark.slow
-def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
+def test_interrupted_training_gives_the_same_result_bit_for_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train_policies(TASK, CONFIG).history
@@ -43,14 +43,14 @@ def test_interrupted_training_ends_bit_for_bit_as_undisturbed(
     with pytest.raises(KeyboardInterrupt):
         train_policies(TASK, CONFIG, out=tmp_path / "cut")
     cut = train_policies(TASK, CONFIG, out=tmp_path / "cut").history
-    assert calls == [0, 1, 2, 2]  # the interrupted iteration is repeated, nothing else
+    assert calls == [0, 1, 2, 2]  # only the interrupted iteration is repeated
     for key, expected in whole.items():
         np.testing.assert_array_equal(expected, cut[key])
     assert len((tmp_path / "cut" / "log.jsonl").read_text().splitlines()) == 3
 
 
 @pytest.mark.parametrize("name", ["append_rows", "save_checkpoint"])
-def test_an_interrupt_while_saving_leaves_each_row_once(
+def test_an_interrupt_while_saving_does_not_duplicate_rows(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     work, interrupts = getattr(training, name), []
@@ -85,7 +85,7 @@ def test_evaluations_do_not_change_training() -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupted_evaluation_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_evaluation_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(CONFIG, eval_every=2)
     whole = train_policies(TASK, config).history
     evaluate, calls = training._evaluate, []
@@ -97,7 +97,7 @@ def test_an_interrupted_evaluation_loses_nothing(tmp_path: Path, monkeypatch: py
         return evaluate(*args)
 
     monkeypatch.setattr(training, "_evaluate", interrupted)
-    for _ in range(2):  # in the first evaluation, and in the last
+    for _ in range(2):  # interrupt the first evaluation, then the last
         with pytest.raises(KeyboardInterrupt):
             train_policies(TASK, config, out=tmp_path / "cut")
     cut = train_policies(TASK, config, out=tmp_path / "cut").history

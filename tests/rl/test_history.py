@@ -14,7 +14,7 @@ from planspace.rl.training import train_policies
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
-LIES: dict[str, tuple[Callable[[Arrays], object], str]] = {
+ALTERATIONS: dict[str, tuple[Callable[[Arrays], object], str]] = {
     "no returns": (lambda a: a.pop("return"), "KeyError: 'return'"),
     "no lengths": (lambda a: a.pop("length"), "KeyError: 'length'"),
     "losses of another shape": (lambda a: a.update(loss=a["loss"][:1].copy()), r"loss has shape \(1, 2\)"),
@@ -43,17 +43,17 @@ def run(tmp_path: Path) -> Path:
 
 
 def alter(run: Path, change: Callable[[Arrays], object]) -> None:
-    """As a stranger can: the file's checksum is made anew."""
+    """Change the history and recompute its checksum, as an attacker can."""
     arrays = {name: array.copy() for name, array in read_arrays(run / "history.safetensors").items()}
     change(arrays)
     write_arrays(run / "history.safetensors", arrays)
 
 
-@pytest.mark.parametrize("lie", LIES)
-def test_a_history_that_is_none_is_one_line(
-    lie: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", ALTERATIONS)
+def test_an_altered_history_gives_a_one_line_error(
+    name: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    change, message = LIES[lie]
+    change, message = ALTERATIONS[name]
     assert load_history(run)["return"].shape == (2, 2)
     alter(run, change)
     with pytest.raises(PlanspaceError, match=rf"history.safetensors was altered .*{message}"):
@@ -65,15 +65,17 @@ def test_a_history_that_is_none_is_one_line(
     assert "history.safetensors was altered" in line and not (run / "history.safetensors").exists()
 
 
-def test_what_need_not_be_finite_is_drawn_all_the_same(run: Path, tmp_path: Path) -> None:
+def test_histories_with_numbers_that_are_not_finite_are_drawn(run: Path, tmp_path: Path) -> None:
     alter(run, lambda a: [a[name].fill(np.nan) for name in ("explained_variance", "kl", "eval_return")])
-    alter(run, lambda a: (a["return"][1].fill(np.inf), a["frozen"][1].fill(1)))  # both seeds came upon it
+    alter(
+        run, lambda a: (a["return"][1].fill(np.inf), a["frozen"][1].fill(1))
+    )  # the returns that froze both seeds
     assert main(["curves", str(run), "--out", str(tmp_path / "curves")]) == 0
 
 
-def test_a_finished_training_has_the_history_of_its_own_settings(tmp_path: Path) -> None:
+def test_a_history_of_other_settings_is_refused(tmp_path: Path) -> None:
     config = TrainConfig(num_seeds=1, steps=1)
     train_policies("cartpole", config, out=tmp_path)
-    shutil.copy(GOLDEN / "history.safetensors", tmp_path)  # of two seeds and two iterations
+    shutil.copy(GOLDEN / "history.safetensors", tmp_path)  # a history of two seeds and two iterations
     with pytest.raises(PlanspaceError, match=r"history.safetensors was altered .*has shape \(2,"):
         train_policies("cartpole", config, out=tmp_path)

@@ -8,7 +8,9 @@ from planspace.tasks.catalog import TASKS
 
 @pytest.mark.parametrize("z_to", ["both", "policy", "critic"])
 @pytest.mark.parametrize("z", ["augment", "replace"])
-def test_z_goes_where_it_is_sent(embedding: Embedding, z: str, z_to: str, rng: np.random.Generator) -> None:
+def test_policy_and_critic_observe_z_as_z_to_says(
+    embedding: Embedding, z: str, z_to: str, rng: np.random.Generator
+) -> None:
     task = TASKS["cartpole-swingup"]
     observer = Observer(task, "trig", z, z_to, (embedding,))  # pyright: ignore
     states, targets = task.sample_starts(5, rng)

@@ -1,4 +1,4 @@
-"""An algorithm that planspace does not ship, used as a shipped one is."""
+"""An algorithm that planspace does not ship is used like a shipped one."""
 
 import json
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ SHORT = TrainConfig(CrossEntropy(), num_seeds=2, steps=3000, batch_steps=1000)
 
 
 def aim() -> Task:
-    """A reward of -(control - 1)^2 a step, so that the best action is 1 everywhere and the best return 0."""
+    """The reward of each step is -(control - 1)^2: the best action is always 1, the best return 0."""
     return replace(
         TASKS["cartpole"],
         name="aim",
@@ -38,7 +38,7 @@ def aim() -> Task:
 
 
 @pytest.mark.slow
-def test_it_finds_the_known_answer_as_trpo_does() -> None:
+def test_an_own_algorithm_and_trpo_find_the_known_best_action() -> None:
     config = TrainConfig(num_seeds=2, steps=160_000)
     for algorithm in (CrossEntropy(), "trpo"):
         trained = train_policies(aim(), config, algorithm=algorithm)
@@ -49,7 +49,7 @@ def test_it_finds_the_known_answer_as_trpo_does() -> None:
 
 
 @pytest.mark.slow
-def test_it_is_saved_resumed_and_played_as_a_shipped_one(
+def test_an_own_algorithm_is_saved_resumed_and_played(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train_policies("cartpole", SHORT, out=tmp_path / "whole")
@@ -84,7 +84,7 @@ def test_it_is_saved_resumed_and_played_as_a_shipped_one(
         train_policies("cartpole", SHORT, algorithm=CrossEntropy(elite=0.5), out=tmp_path / "whole")
 
 
-def test_a_task_of_ones_own_is_known_by_its_content(tmp_path: Path) -> None:
+def test_an_own_task_is_identified_by_its_content(tmp_path: Path) -> None:
     config = replace(SHORT, steps=1)
     train_policies(aim(), config, out=tmp_path)
     policy = load_policy(tmp_path)
@@ -100,8 +100,8 @@ def test_a_task_of_ones_own_is_known_by_its_content(tmp_path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Misfit(CrossEntropy):
-    """Returns something else from one method, in its `at`-th call."""
+class Invalid(CrossEntropy):
+    """Changes what one method returns."""
 
     method: str = ""
     result: Any = None
@@ -113,7 +113,7 @@ class Misfit(CrossEntropy):
         return object.__getattribute__(self, name)
 
 
-MISFITS: dict[str, tuple[str, Any, str]] = {
+INVALID: dict[str, tuple[str, Any, str]] = {
     "a plain number": (
         "init",
         lambda s: {**s, "best": 1.0},
@@ -148,21 +148,21 @@ MISFITS: dict[str, tuple[str, Any, str]] = {
 }
 
 
-@pytest.mark.parametrize("misfit", MISFITS)
-def test_results_that_do_not_fit_are_refused(misfit: str) -> None:
-    method, result, message = MISFITS[misfit]
-    config = TrainConfig(Misfit(method=method, result=result), num_seeds=2, steps=1, batch_steps=1000)
+@pytest.mark.parametrize("case", INVALID)
+def test_invalid_results_of_an_algorithm_are_refused(case: str) -> None:
+    method, result, message = INVALID[case]
+    config = TrainConfig(Invalid(method=method, result=result), num_seeds=2, steps=1, batch_steps=1000)
     with pytest.raises(UsageError, match=message) as caught:
         train_policies("cartpole", config)
     assert "See docs/howto/own-algorithm.md." in str(caught.value)
 
 
-def test_a_class_is_refused() -> None:
+def test_a_class_instead_of_an_instance_is_refused() -> None:
     with pytest.raises(UsageError, match="got the class CrossEntropy: pass an instance"):
         train_policies("cartpole", algorithm=CrossEntropy)  # pyright: ignore
 
 
-def test_a_seed_may_say_that_it_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_algorithm_can_raise_diverged_for_a_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     update, calls = CrossEntropy.update, []
 
     def diverging(self: CrossEntropy, arm: Any, state: Any, rollout: Any, *, key: Any) -> Any:

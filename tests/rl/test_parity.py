@@ -1,4 +1,4 @@
-"""From identical weights and one identical batch: our update beside Stable-Baselines3's and sb3-contrib's."""
+"""Our updates equal those of Stable-Baselines3 and sb3-contrib, from the same weights and the same batch."""
 
 from typing import Any
 
@@ -20,10 +20,10 @@ sb3_contrib = pytest.importorskip("sb3_contrib", reason="needs the extra sb3")
 
 NUM, NUM_OBS = 256, 4
 PPO_TOLERANCE = 2e-6
-"""An Adam step of 1e-3 is g / (|g| + 1e-8): where g is next to nothing, rounding decides its sign."""
+"""Relative to 1e-3, an Adam step is g / (|g| + 1e-8): if g is almost 0, rounding decides its sign."""
 TRPO_TOLERANCE = 1e-3
-"""Share of the longest step. With a damping of 0.1, sb3-contrib's default, the two differ by 1e-4; with 1e-5,
-that of the 2020 runs, ten conjugate gradient steps in float32 amplify rounding to 0.03 (cosine 0.999)."""
+"""Fraction of the largest step. With a damping of 0.1, sb3-contrib's default, the two differ by 1e-4. With
+1e-5, as in the 2020 runs, ten conjugate gradient steps in float32 amplify rounding to 0.03 (cosine 0.999)."""
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def batch() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def theirs(kind: Any, batch: tuple, policy: GaussianPolicy, **settings: Any) -> Any:
-    """Their agent with our weights, its rollout buffer filled with the batch."""
+    """An agent of theirs with our weights; its rollout buffer contains the batch."""
     import torch
 
     env = gymnasium.make("planspace/CartPoleSwingUp-v0")
@@ -72,7 +72,7 @@ def theirs(kind: Any, batch: tuple, policy: GaussianPolicy, **settings: Any) -> 
 
 
 def parameters(agent: Any) -> np.ndarray:
-    """Theirs, in the order of ours."""
+    """Their parameters in the order of ours."""
     net = agent.policy.mlp_extractor.policy_net
     layers = [net[0], net[2], agent.policy.action_net]
     parts = [layer.weight for layer in layers] + [layer.bias for layer in layers] + [agent.policy.log_std]
@@ -84,7 +84,7 @@ def our_parameters(policy: GaussianPolicy) -> np.ndarray:
     return np.concatenate([np.asarray(part).ravel() for part in parts])
 
 
-def test_one_minibatch_of_ppo_is_sb3s(batch: tuple) -> None:
+def test_one_minibatch_of_ppo_equals_that_of_sb3(batch: tuple) -> None:
     policy = GaussianPolicy(NUM_OBS, 1, key=jr.key(3))
     settings = {"learning_rate": 1e-3, "n_epochs": 1, "vf_coef": 0.0, "ent_coef": 0.0, "max_grad_norm": 0.5}
     agent = theirs(sb3.PPO, batch, policy, clip_range=0.2, **settings)
@@ -98,7 +98,7 @@ def test_one_minibatch_of_ppo_is_sb3s(batch: tuple) -> None:
     np.testing.assert_allclose(our_parameters(ours), parameters(agent), atol=PPO_TOLERANCE)
 
 
-def test_one_update_of_trpo_is_sb3_contribs(batch: tuple) -> None:
+def test_one_update_of_trpo_equals_that_of_sb3_contrib(batch: tuple) -> None:
     policy = GaussianPolicy(NUM_OBS, 1, key=jr.key(3))
     settings = {"cg_max_steps": 10, "cg_damping": 0.1, "target_kl": 0.01, "n_critic_updates": 1}
     line_search = {"line_search_shrinking_factor": 0.8, "line_search_max_iter": 15, "sub_sampling_factor": 1}

@@ -42,18 +42,20 @@ def test_the_loss_by_hand(policy: GaussianPolicy, batch: ppo.Batch) -> None:
     assert float(ppo.loss(policy, four, 0.2)) == pytest.approx(0.275, rel=1e-4)
 
 
-def test_an_update_improves(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+def test_an_update_moves_the_policy_towards_rewarded_actions(
+    policy: GaussianPolicy, batch: ppo.Batch
+) -> None:
     new, _, info = run(policy, batch, CONFIG)
     assert not info.skipped and float(info.improvement) > 0 and int(info.rounds) == CONFIG.epochs
     assert float(info.loss) == pytest.approx(float(ppo.loss(new, batch, CONFIG.clip)))
     probe = jnp.array([1.0, 0.0, 0.0])
-    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # in the direction that was rewarded
+    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # towards rewarded actions
 
 
-def test_every_sample_is_seen_once_an_epoch(
+def test_each_epoch_uses_every_sample_once(
     policy: GaussianPolicy, batch: ppo.Batch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = replace(CONFIG, minibatch=50)  # 50, 50 and the 20 that are left
+    config = replace(CONFIG, minibatch=50)  # minibatches of 50, 50 and 20
     numbered = eqx.tree_at(lambda b: b.obs, batch, jnp.arange(120.0)[:, None] * jnp.ones(3))
     counting = eqx.tree_at(lambda p: p.log_std, policy, jnp.zeros(120))
 
@@ -67,8 +69,10 @@ def test_every_sample_is_seen_once_an_epoch(
 
 
 @pytest.mark.slow
-def test_whole_trajectories_are_samples_too(policy: GaussianPolicy, batch: ppo.Batch) -> None:
-    """All at once, it makes no difference how steps are grouped."""
+def test_minibatches_of_trajectories_equal_minibatches_of_steps(
+    policy: GaussianPolicy, batch: ppo.Batch
+) -> None:
+    """If one minibatch contains all steps, their grouping makes no difference."""
     config = replace(CONFIG, minibatch=120)
     folded = ppo.Batch(
         batch.obs.reshape(8, 15, 3),
@@ -81,15 +85,15 @@ def test_whole_trajectories_are_samples_too(policy: GaussianPolicy, batch: ppo.B
 
 
 @pytest.mark.slow
-def test_it_stops_when_the_loss_does_not_move(policy: GaussianPolicy, batch: ppo.Batch) -> None:
+def test_an_update_stops_when_the_loss_is_constant(policy: GaussianPolicy, batch: ppo.Batch) -> None:
     _, _, info = run(policy, batch, replace(CONFIG, tolerance=1e3))
-    assert int(info.rounds) == 2  # the first epoch has nothing to be compared with
+    assert int(info.rounds) == 2  # the first epoch has no loss before it to compare with
     still = eqx.tree_at(lambda b: b.advantages, batch, jnp.zeros(120))
     assert int(run(policy, still, replace(CONFIG, tolerance=1e-6))[2].rounds) == 2
 
 
 @pytest.mark.parametrize("poison", [jnp.nan, jnp.inf])
-def test_numbers_that_are_not_finite_leave_all_as_it_was(
+def test_numbers_that_are_not_finite_leave_the_policy_unchanged(
     policy: GaussianPolicy, batch: ppo.Batch, poison: float
 ) -> None:
     broken = eqx.tree_at(lambda b: b.advantages, batch, batch.advantages.at[3].set(poison))

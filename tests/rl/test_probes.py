@@ -35,11 +35,11 @@ ENOUGH = {"trpo": 60, "ppo": 15}
 """Iterations. PPO takes larger steps; once the standard deviation of its actions is almost 0, a step can be
 too large."""
 STEPS = 1000
-"""Steps of an iteration and seed."""
+"""Steps per iteration and seed."""
 
 
 def probe(reward, horizon: int = 1) -> Task:
-    """A task with another reward (before, after, control) and horizon, that ends after each step."""
+    """A task with this reward (before, after, control) and horizon, in which every step terminates."""
     return replace(
         TASKS["cartpole"],
         horizon=horizon,
@@ -66,7 +66,7 @@ class Trained:
             self.agents, self.networks = state.agents, training._networks(run, state)
 
     def value(self, obs: np.ndarray, step: int = 0) -> np.ndarray:
-        """Of one observation, for each seed."""
+        """The value of one observation, for each seed."""
         row = obs[None].astype(np.float32)
         rows = [row if n.statistics is None else n.statistics(row) for n in self.networks]
         values = [a.critic.values(x, np.array([step])) for a, x in zip(self.agents, rows, strict=True)]
@@ -115,14 +115,14 @@ def test_the_better_action_depends_on_the_observation(algo: str, preset: str) ->
 
 
 @pytest.mark.parametrize(("algo", "preset"), ARMS)
-def test_the_preset_decides_whether_rewards_beyond_the_time_limit_count(algo: str, preset: str) -> None:
-    """The reward is 1 in every step, so that without a time limit the value is 1 / (1 - gamma) = 100."""
+def test_rewards_beyond_the_time_limit_count_only_with_modern(algo: str, preset: str) -> None:
+    """The reward is 1 in every step, so the value without a time limit is 1 / (1 - gamma) = 100."""
     task = replace(probe(lambda before, after, control: np.ones(len(before)), horizon=10), terminated=never)
     value = Trained(task, algo, preset, 12).value(np.zeros(4), 0)
     ten_steps = (1 - GAMMA**10) / (1 - GAMMA)  # 9.56
     if preset == "modern":
-        assert (value > 4 * ten_steps).all()  # each iteration counts ten more steps
+        assert (value > 4 * ten_steps).all()  # each iteration adds ten steps
     elif algo == "trpo":
         np.testing.assert_allclose(value, ten_steps, atol=0.1)
-    else:  # its critic does not observe the step; 1 to 10 steps are left
+    else:  # PPO's critic does not observe the step: it predicts a mean over 1 to 10 remaining steps
         assert ((value > 4) & (value < ten_steps + 0.5)).all()

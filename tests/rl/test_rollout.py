@@ -19,7 +19,7 @@ def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout
 
 
 def test_episodes_of_a_seed_do_not_depend_on_other_seeds() -> None:
-    task = TASKS["cartpole"]  # its episodes end early, so that restarts draw from the streams, too
+    task = TASKS["cartpole"]  # its episodes end early, so restarts also draw random numbers
     together, alone = roll(task, 4, [7, 8, 9], 60), roll(task, 4, [8], 60)
     assert together.terminated[:, 1].any()
     np.testing.assert_array_equal(together.obs[:, 1], alone.obs[:, 0])
@@ -31,25 +31,27 @@ def test_terminated_timeout_and_cut_are_distinguished() -> None:
     balance = roll(TASKS["cartpole"], 4, [0], 60)
     assert balance.terminated.any() and not balance.timeout.any()
     assert (balance.cut[-1] == ~balance.terminated[-1]).all() and not balance.cut[:-1].any()
-    assert (balance.step[1:][balance.terminated[:-1]] == 0).all()  # the step after an end begins an episode
+    assert (
+        balance.step[1:][balance.terminated[:-1]] == 0
+    ).all()  # the step after an end is the first of an episode
     swing_up = roll(TASKS["cartpole-swingup"], 2, [0], 200)
     assert swing_up.timeout[-1].all() and not swing_up.timeout[:-1].any()
     assert not (swing_up.terminated.any() or swing_up.cut.any())
 
 
-def test_returns_count_whole_episodes() -> None:
+def test_returns_are_means_over_ended_episodes() -> None:
     rollout = roll(TASKS["cartpole"], 4, [0, 1], 60)
     returns, lengths = episode_returns(rollout)
-    np.testing.assert_array_equal(returns, lengths)  # one reward a step
+    np.testing.assert_array_equal(returns, lengths)  # each step has reward 1
     for s in range(2):
         ends = [np.diff([-1, *np.flatnonzero(rollout.terminated[:, s, e])]) for e in range(4)]
         assert lengths[s] == pytest.approx(np.concatenate(ends).mean())
 
 
-def test_an_evaluation_counts_the_first_episode_of_each_environment() -> None:
+def test_an_evaluation_uses_the_first_episode_of_each_environment() -> None:
     rollout = roll(TASKS["cartpole"], 4, [0, 1], 100)
     ends = [[np.flatnonzero(rollout.terminated[:, s, e])[0] + 1 for e in range(4)] for s in range(2)]
-    np.testing.assert_array_equal(first_returns(rollout), np.mean(ends, axis=1))  # one reward a step
+    np.testing.assert_array_equal(first_returns(rollout), np.mean(ends, axis=1))  # each step has reward 1
 
 
 def test_actions_of_another_shape_are_refused() -> None:

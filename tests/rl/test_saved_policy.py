@@ -30,7 +30,7 @@ ARMS = {
 
 @pytest.fixture(params=["plain", "z", *(pytest.param(x, marks=pytest.mark.slow) for x in list(ARMS)[2:])])
 def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) -> tuple[Path, list]:
-    """A short run, and the networks it ended with."""
+    """A short run and its final networks."""
     config = TrainConfig(num_seeds=2, seed=4, steps=2 * BATCH_STEPS, **ARMS[request.param])
     kept, networks = [], training._networks
 
@@ -58,7 +58,7 @@ def test_a_loaded_policy_acts_as_in_training(run: tuple[Path, list], rng: np.ran
     assert best.seed == 4 + int(np.argmax(about["returns"]))
 
 
-def test_a_policy_plays_in_its_environment(run: tuple[Path, list]) -> None:
+def test_a_policy_plays_in_the_environment_of_its_training(run: tuple[Path, list]) -> None:
     policy = load_policy(run[0], 5)
     assert make_env(policy).observation_space.shape == (policy.about["num_obs"],)
     returns, demos = play(policy, 2, seed=3)
@@ -97,7 +97,7 @@ def test_loading_needs_neither_jax_nor_mujoco(tmp_path: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_wrong_observations_seeds_and_files_are_refused(tmp_path: Path) -> None:
     train_policies("cartpole", TrainConfig(num_seeds=1, steps=1), out=tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     with pytest.raises(PlanspaceError, match="trained on observations of 4 numbers .*got 6"):
@@ -118,7 +118,9 @@ def test_actions_without_limits_are_saved_and_played(tmp_path: Path) -> None:
     assert np.isfinite(returns).all() and np.isfinite(demos.controls).all()
 
 
-def test_an_action_that_is_not_finite_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_action_that_is_not_finite_gives_a_one_line_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     train_policies("cartpole", TrainConfig(num_seeds=1, steps=1), out=tmp_path)
     policy = load_policy(tmp_path)
     for obs in (np.full(4, np.nan), np.full(4, 1e300)):

@@ -31,7 +31,7 @@ def shaping_of(
     return found.reward_fn(discount, bootstrap_timeout)
 
 
-def test_the_way_from_a_mean_start_to_the_goal_is_worth_the_scale(embedding: Embedding) -> None:
+def test_the_mean_shaping_from_a_start_to_the_goal_equals_the_scale(embedding: Embedding) -> None:
     starts, _ = TASKS["cartpole-swingup"].sample_starts(1000, np.random.default_rng(0))
     goal = np.zeros((1000, 4))
     for form in ("z", "raw"):
@@ -40,12 +40,15 @@ def test_the_way_from_a_mean_start_to_the_goal_is_worth_the_scale(embedding: Emb
         assert paid.mean() == pytest.approx(7.0)
 
 
-def test_what_an_episode_is_paid_telescopes(embedding: Embedding, rng: np.random.Generator) -> None:
+def test_the_discounted_shaping_of_an_episode_telescopes(
+    embedding: Embedding, rng: np.random.Generator
+) -> None:
     shape = shaping_of(ALONE, embedding)
     states = rng.normal(size=(11, 1, 4))
     paid = [shape(a, b, RUNNING, RUNNING)[0] for a, b in itertools.pairwise(states)]
     summed = sum(GAMMA**t * x for t, x in enumerate(paid))
-    # GAMMA^10 Phi(x_10) - Phi(x_0), whatever lies between: from and to the goal, whose potential is 0
+    # The sum is GAMMA^10 Phi(x_10) - Phi(x_0). The potential at the goal is 0, so a step from the goal to x
+    # gives GAMMA Phi(x).
     goal = np.zeros((1, 4))
     last, first = (
         shape(goal, states[-1], RUNNING, RUNNING)[0] / GAMMA,
@@ -53,20 +56,20 @@ def test_what_an_episode_is_paid_telescopes(embedding: Embedding, rng: np.random
     )
     assert summed == pytest.approx(GAMMA**10 * last - first)
     ended = shape(states[0], states[1], ~RUNNING, RUNNING)[0]
-    assert ended == pytest.approx(-first)  # an episode that terminates ends at potential 0
+    assert ended == pytest.approx(-first)  # the potential after termination is 0
     limit = shape(states[0], states[1], RUNNING, ~RUNNING)[0]
-    assert limit == ended  # where nothing counts beyond the time limit
+    assert limit == ended  # without `bootstrap_timeout`, the time limit is like a termination
     modern = shaping_of(ALONE, embedding, bootstrap_timeout=True)
     assert modern(states[0], states[1], RUNNING, ~RUNNING)[0] == pytest.approx(paid[0])
 
 
-def test_raw_distance_takes_angles_the_short_way_round() -> None:
+def test_the_raw_distance_wraps_angles() -> None:
     shape = shaping_of(replace(ALONE, shaping="raw"))
     near, turned = np.zeros((1, 4)), np.array([[0.0, 2 * np.pi, 0.0, 0.0]])
     assert shape(near, turned, RUNNING, RUNNING)[0] == pytest.approx(0.0)
 
 
-def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: Path) -> None:
+def test_training_and_wrapper_give_the_same_shaping(embedding: Embedding, embedding_folder: Path) -> None:
     shape = shaping_of(ALONE, embedding)
     starts, _ = TASKS["cartpole-swingup"].sample_starts(1000, np.random.default_rng(0))
     typical = float(embedding.distance(starts, np.zeros(4)).mean())
@@ -86,7 +89,7 @@ def test_it_pays_what_the_wrapper_pays(embedding: Embedding, embedding_folder: P
         before = info["state"]
 
 
-def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
+def test_each_seed_is_shaped_by_its_own_embedding(embedding: Embedding) -> None:
     other = replace(embedding, encoder=([-w for w in embedding.encoder[0]], embedding.encoder[1]))
     states = np.random.default_rng(0).normal(size=(2, 40, 4))
     ended = np.zeros((2, 40), dtype=bool)
@@ -96,14 +99,16 @@ def test_every_seed_is_paid_by_its_own_embedding(embedding: Embedding) -> None:
     one = replace(CONFIG, num_seeds=1)
     first = shaping_of(one, embedding)(*halves[0], *ended[:, :20])
     second = [shaping_of(one, e)(*halves[1], *ended[:, 20:]) for e in (embedding, other)]
-    np.testing.assert_array_equal(both, np.concatenate([first, second[1]]))  # bit for bit as alone
+    np.testing.assert_array_equal(
+        both, np.concatenate([first, second[1]])
+    )  # equal bit for bit to single seeds
     np.testing.assert_array_equal(shared, np.concatenate([first, second[0]]))
     assert not np.allclose(*second, rtol=1e-2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["trpo", "ppo"])
-def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embedding) -> None:
+def test_shaping_changes_training_but_not_the_reported_returns(algo: str, embedding: Embedding) -> None:
     config = replace(CONFIG, algorithm=ALGORITHMS[algo])
     shaped = train_policies(TASK, config, embedding=embedding).history
     plain = train_policies(TASK, replace(config, shaping="none")).history
@@ -113,7 +118,7 @@ def test_shaping_is_learned_from_and_not_reported(algo: str, embedding: Embeddin
     np.testing.assert_array_equal(again["return"], shaped["return"])
 
 
-def test_a_sparse_reward_is_one_at_the_goal() -> None:
+def test_the_sparse_reward_is_one_at_the_goal() -> None:
     config = replace(CONFIG, shaping="none", reward="sparse")
     returns = train_policies(TASK, config).history["return"]
     assert (returns >= 0).all() and (returns * 20 == np.round(returns * 20)).all()  # steps, over 20 episodes
@@ -122,7 +127,9 @@ def test_a_sparse_reward_is_one_at_the_goal() -> None:
     assert batch.step(np.zeros((1, 1)))[0] == 1.0
 
 
-def test_what_does_not_fit_is_refused(embedding: Embedding, tmp_path: Path) -> None:
+def test_wrong_combinations_of_shaping_and_embedding_are_refused(
+    embedding: Embedding, tmp_path: Path
+) -> None:
     with pytest.raises(UsageError, match="shaping by 'z' needs an embedding"):
         train_policies(TASK, CONFIG, out=tmp_path / "a")
     with pytest.raises(

@@ -33,7 +33,7 @@ def test_trpo_learns_to_balance() -> None:
     assert (history["kl"] <= 0.01).all() and history["skipped"].sum() <= 2
 
 
-def test_a_finished_run_is_loaded_and_another_refused(tmp_path: Path) -> None:
+def test_a_finished_run_is_loaded_and_other_settings_are_refused(tmp_path: Path) -> None:
     config = replace(CONFIG, steps=1, num_seeds=1)
     first = train_policies(TASK, config, out=tmp_path / "run").history
     again = train_policies(TASK, config, out=tmp_path / "run").history
@@ -59,7 +59,7 @@ def test_in_memory_policies_outlive_their_training(embedding: Embedding) -> None
     assert not run.exists()
 
 
-def test_misfits_of_task_and_embedding_are_refused(embedding: Embedding, tmp_path: Path) -> None:
+def test_wrong_combinations_of_task_and_embedding_are_refused(embedding: Embedding, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="z is 'augment', which needs an embedding"):
         train_policies(TASK, replace(CONFIG, z="augment"), out=tmp_path / "a")
     with pytest.raises(UsageError, match=r"task reacher-raw: .*reads .*\(slider, .*these have 4 \(joint0"):
@@ -107,14 +107,14 @@ ARMS = [*QUICK_ARMS, *(pytest.param(arm, marks=pytest.mark.slow) for arm in SLOW
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=str)
-def test_a_seed_learns_the_same_alone_and_beside_others(arm: dict, embedding: Embedding) -> None:
+def test_a_seed_does_not_depend_on_the_other_seeds(arm: dict, embedding: Embedding) -> None:
     arm = {name: find_algorithm(*value) if name == "algorithm" else value for name, value in arm.items()}
     config = TrainConfig(num_seeds=5, steps=3000, batch_steps=1000, **arm)  # episodes of different lengths
     given = embedding if config.z != "none" else None
     together = train_policies("cartpole", config, embedding=given).history
-    alone = train_policies("cartpole", replace(config, seed=3, num_seeds=1), embedding=given).history
+    single = train_policies("cartpole", replace(config, seed=3, num_seeds=1), embedding=given).history
     for key in together.keys() - {"steps", "eval_steps"}:
-        np.testing.assert_array_equal(together[key][:, 3], alone[key][:, 0])  # bit for bit
+        np.testing.assert_array_equal(together[key][:, 3], single[key][:, 0])  # bit for bit
     assert (together["return"][:, 2] != together["return"][:, 3]).all()
 
 
@@ -142,8 +142,8 @@ def test_a_diverging_seed_is_frozen_and_the_others_continue(
     for key in sound.keys() - {"frozen", "steps", "eval_steps"}:
         np.testing.assert_array_equal(frozen[key][:, [0, 2]], sound[key][:, [0, 2]])
     assert np.isfinite(frozen["return"][3, 1]) and np.isnan(frozen["kl"][2:, 1]).all()
-    assert np.isfinite(frozen[EVALUATION]).all()  # it acts as it last did
-    assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # the finished run says so again
+    assert np.isfinite(frozen[EVALUATION]).all()  # a frozen seed acts with its last policy
+    assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # a finished run reports it again
 
 
 @pytest.mark.slow
@@ -153,8 +153,8 @@ def test_seeds_take_embeddings_in_turn(embedding: Embedding, tmp_path: Path) -> 
     config = replace(CONFIG, z="augment", steps=BATCH_STEPS, num_seeds=3, seed=1)
     mixed = train_policies(TASK, config, embedding=[embedding, other], out=tmp_path / "mixed").history
     for i, used in enumerate((other, embedding, other)):  # seeds 1, 2 and 3
-        alone = train_policies(TASK, replace(config, seed=1 + i, num_seeds=1), embedding=used).history
-        np.testing.assert_array_equal(mixed["return"][:, i], alone["return"][:, 0])
+        single = train_policies(TASK, replace(config, seed=1 + i, num_seeds=1), embedding=used).history
+        np.testing.assert_array_equal(mixed["return"][:, i], single["return"][:, 0])
     assert load_policy(tmp_path / "mixed", 2).embedding == tmp_path / "mixed" / "embedding-0"
     assert load_embedding(load_policy(tmp_path / "mixed", 3).embedding).hash == other.hash
     with pytest.raises(UsageError, match="3 embeddings are too many for 2 seeds"):

@@ -27,7 +27,7 @@ def batch(policy: GaussianPolicy) -> tuple[jax.Array, jax.Array, jax.Array]:
     obs = jr.normal(jr.key(1), (400, 3))
     keys = jr.split(jr.key(2), 400)
     actions = jax.vmap(lambda o, k: policy(o).sample(key=k))(obs, keys)
-    advantages = actions[:, 0] * obs[:, 0]  # push the first action along the first observation
+    advantages = actions[:, 0] * obs[:, 0]  # rewards a first action with the sign of the first observation
     return obs, actions, (advantages - advantages.mean()) / advantages.std()
 
 
@@ -46,7 +46,7 @@ def test_fisher_product_is_the_hessian_of_the_kl(policy: GaussianPolicy) -> None
         np.testing.assert_allclose(product(v), hessian @ v, rtol=1e-3, atol=1e-4)
 
 
-def test_conjugate_gradient_solves(rng: np.random.Generator) -> None:
+def test_conjugate_gradient_solves_a_linear_system(rng: np.random.Generator) -> None:
     root = rng.normal(size=(8, 8))
     a, b = jnp.asarray(root @ root.T + 8 * np.eye(8)), jnp.asarray(rng.normal(size=8))
     x = conjugate_gradient(lambda v: a @ v, b, 10)
@@ -61,12 +61,12 @@ def test_an_update_improves_within_the_trust_region(policy: GaussianPolicy, batc
     assert float(info.kl) == pytest.approx(moved, rel=1e-2)
     assert 0.3 * CONFIG.max_kl < moved <= CONFIG.max_kl
     probe = jnp.array([1.0, 0.0, 0.0])
-    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # in the direction that was rewarded
+    assert float(new(probe).mu[0]) > float(policy(probe).mu[0])  # towards rewarded actions
 
 
 @pytest.mark.slow
-def test_a_failed_search_leaves_the_parameters_as_they_were(policy: GaussianPolicy, batch: tuple) -> None:
-    impossible = replace(CONFIG, max_kl=-1.0)  # no policy is that near to another
+def test_a_failed_line_search_leaves_the_policy_unchanged(policy: GaussianPolicy, batch: tuple) -> None:
+    impossible = replace(CONFIG, max_kl=-1.0)  # a KL cannot be negative
     new, info = update(policy, *batch, impossible)
     assert info.skipped
     assert eqx.tree_equal(new, policy)
@@ -89,13 +89,13 @@ def test_numbers_that_are_not_finite_skip_the_update(
     assert eqx.tree_equal(new, policy)
 
 
-def test_no_advantage_is_no_step(policy: GaussianPolicy, batch: tuple) -> None:
+def test_without_advantages_the_policy_does_not_change(policy: GaussianPolicy, batch: tuple) -> None:
     new, info = update(policy, batch[0], batch[1], jnp.zeros(400), CONFIG)
     assert info.skipped
     assert eqx.tree_equal(new, policy)
 
 
-def test_the_actor_is_the_policy(rng: np.random.Generator) -> None:
+def test_the_actor_computes_the_policys_actions(rng: np.random.Generator) -> None:
     policies = [GaussianPolicy(3, 2, key=jr.key(s)) for s in range(2)]
     obs = rng.normal(size=(2, 5, 3)).astype(np.float32)
     actor, noise = Actor([p.network() for p in policies]), rng.normal(size=(2, 5, 2))

@@ -49,7 +49,7 @@ def test_sealed_json_round_trips(tmp_path_factory: pytest.TempPathFactory, value
     assert read_sealed(path) == value
 
 
-def test_any_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
+def test_every_changed_byte_of_a_sealed_file_is_found(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     write_sealed(path, {"name": "swing-up", "number": 12, "list": [1, 2]})
     whole = path.read_bytes()
@@ -170,7 +170,7 @@ def test_a_file_larger_than_memory_is_rejected(kind: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("read", [read_json, read_sealed])
-def test_json_of_gigabytes_is_rejected(read: Any, tmp_path: Path) -> None:
+def test_a_json_file_of_gigabytes_is_rejected(read: Any, tmp_path: Path) -> None:
     file = write_all(tmp_path / "d")["json"]
     os.truncate(file, 3 << 30)
     with pytest.raises(PlanspaceError, match=f"has {3 << 30} bytes; at most {1 << 28} can be read here"):

@@ -26,7 +26,7 @@ def test_added_settings_do_not_replace_saved_ones() -> None:
     assert update_settings({"normalise": True}, renamed={}, added={"normalise": False}) == {"normalise": True}
 
 
-def test_a_name_that_leads_to_a_value_instead_of_a_mapping_is_not_found() -> None:
+def test_a_path_through_a_value_is_not_found() -> None:
     saved = {"fit": 3}
     assert update_settings(saved, renamed={"fit.near": "short_fraction"}, added={}) == saved
 
