@@ -138,7 +138,7 @@ def test_wrong_combinations_of_shaping_and_embedding_are_refused(
         train_policies("reacher-raw", replace(CONFIG, obs="raw", shaping="raw"), out=tmp_path / "b")
     with pytest.raises(UsageError, match="or --shaping z"):
         train_policies(TASK, replace(CONFIG, shaping="none"), embedding=embedding, out=tmp_path / "c")
-    with pytest.raises(UsageError, match=r"shaping_scale must be above 0, got 0\.0"):
+    with pytest.raises(UsageError, match=r"`shaping_scale` must be above 0 and finite, got 0\.0"):
         replace(CONFIG, shaping_scale=0.0)
     with pytest.raises(UsageError, match="unknown reward type of cartpole '2020'"):
         train_policies("cartpole", TrainConfig(reward="2020"), out=tmp_path / "d")
