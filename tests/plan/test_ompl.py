@@ -62,7 +62,7 @@ def test_every_geometric_planner_finds_a_path(algorithm: str, tmp_path: Path) ->
 def test_a_crash_fails_one_plan_and_is_reported(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(process, "_child", _abort)
+    monkeypatch.setattr(process, "_search", _abort)
     problem = load_problem("pendulum")
     config = PlanConfig.for_problem(problem, planner="ompl-rrt")
     with pytest.raises(PartialResult, match=r"1 of 1 plans .*ompl-rrt crashed \(exit code -6\)"):

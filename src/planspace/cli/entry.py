@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import tyro
 
 from planspace.cli.help_texts import set_help_texts
+from planspace.cli.interrupts import Interrupted, interruptible
 from planspace.errors import PlanspaceError, printable
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
@@ -52,9 +53,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: what follows the program's name; by default the arguments of this process.
 
     Returns:
-        The exit code: 0 done, 1 failed, 2 wrong usage, 3 partly done, 130 interrupted.
+        The exit code: 0 done, 1 failed, 2 wrong usage, 3 partly done, 130 interrupted by Ctrl-C, 143 by
+        SIGTERM.
     """
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    with interruptible(whole_process=arguments is None):
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+
+
+def _run(arguments: list[str]) -> int:
     if "--version" in arguments:
         import planspace
 
@@ -68,9 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output, such as `head`, has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILURE
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         print("interrupted; the same command continues from here.", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return interrupt.exit_code if isinstance(interrupt, Interrupted) else EXIT_INTERRUPTED
     except Exception as error:
         if debug:
             _print_traceback()

@@ -5,6 +5,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -180,7 +181,8 @@ def _plan_missing(
     folder = DemoFolder(out, state_info(problem), _settings(problem, config, seed), upgrade=upgrade_settings)
     remaining = range(folder.next_index, num)
     if remaining:
-        _extend(folder, remaining, plan_all(problem, config, seed, remaining, workers))
+        with closing(plan_all(problem, config, seed, remaining, workers)) as plans:  # kills the workers
+            _extend(folder, remaining, plans)
     return folder
 
 

@@ -4,10 +4,9 @@ Every search runs in a separate process: OMPL's random state belongs to the proc
 once, and its bindings can crash, which then costs one search.
 """
 
-import multiprocessing
-import multiprocessing.connection
 import os
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from planspace.plan.ompl.planners import OMPL
 from planspace.plan.planner import Failure, Plan
 from planspace.plan.query import Query
 from planspace.tasks.problem import Goal, Problem
-from planspace.workers import exit_with_parent
+from planspace.workers import WorkerDied, WorkerPool
 
 GRACE_S = 60.0
 """A process is killed this many seconds after its time was up."""
@@ -36,43 +35,34 @@ def plan_in_process(planner: OMPL, query: Query, *, seed: int) -> Plan | Failure
     Returns:
         The plan, or why there is none. A crash is a failure, and is also reported on standard error.
     """
-    context = multiprocessing.get_context("spawn")
-    receive, send = context.Pipe(duplex=False)
     goal = (query.goal.center, query.goal.half, query.goal.weights, query.goal.tolerance)
-    process = context.Process(target=_child, args=(send, query.problem, planner, query.start, goal, seed))
-    process.start()
-    send.close()
     patience = GRACE_S + (COUNTED_S if planner.iterations else planner.seconds)
-    answer: Plan | Failure | PlanspaceError | str | None = None
-    try:
-        answer = receive.recv() if receive.poll(patience) else "it exceeded its time"
-    except EOFError:
-        answer = None  # it died without an answer
-    finally:
-        receive.close()
-    process.join(5.0)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    if isinstance(answer, PlanspaceError):
-        raise answer
+    with WorkerPool(1) as pool:
+        try:
+            answer = pool.submit(_search, query.problem, planner, query.start, goal, seed).result(patience)
+        except WorkerDied as error:
+            answer = str(error)
+        except TimeoutError:
+            answer = "it exceeded its time"
     if isinstance(answer, Plan | Failure):
         return answer
-    note = f"{planner.name} crashed ({answer or f'exit code {process.exitcode}'})"
+    note = f"{planner.name} crashed ({answer})"
     print(f"planspace: {note}; this costs one plan.", file=sys.stderr)
     return Failure(note, float(query.goal.distance(query.start)))
 
 
-def _child(
-    send: multiprocessing.connection.Connection,
+def _search(
     problem: Problem,
     planner: OMPL,
     start: np.ndarray,
     goal: tuple[np.ndarray, np.ndarray, np.ndarray, float],
     seed: int,
-) -> None:
-    """Run in the process: search, answer, and leave at once, before OMPL's destructors can crash."""
-    exit_with_parent()
+) -> Plan | Failure | str:
+    """Search in the process.
+
+    Returns:
+        The plan, or why there is none; a text if OMPL or its bindings raised an error.
+    """
     with open(os.devnull, "w") as quiet:
         os.dup2(quiet.fileno(), 1)
     try:
@@ -81,10 +71,13 @@ def _child(
         model, space = problem.compile()
         simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
         query = OMPLQuery(problem, simulator, Goal(space, *goal), planner)
-        send.send(query.solve(start, seed))
+        _kept.append(query)
+        return query.solve(start, seed)
     except PlanspaceError as error:
-        send.send(type(error)(f"{planner.name}: {error}"))
+        raise type(error)(f"{planner.name}: {error}") from None
     except Exception as error:  # from OMPL or its bindings: it costs this search
-        send.send(f"{type(error).__name__}: {' '.join(str(error).split())}")
-    send.close()
-    os._exit(0)
+        return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+_kept: list[Any] = []
+"""The query, kept until the process is killed: OMPL's destructors can crash."""

@@ -1,0 +1,71 @@
+"""Ctrl-C and SIGTERM: the first stops the command, which saves what is finished; the next ends it at once."""
+
+import contextlib
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SAME_PRESS_S = 0.5
+"""A signal this soon after the first counts as the same: `timeout` and some shells send it twice."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal arrived that asks the command to stop."""
+
+    def __init__(self, number: int):
+        super().__init__(signal.Signals(number).name)
+        self.exit_code = 128 + number
+
+
+@contextlib.contextmanager
+def interruptible(*, whole_process: bool) -> Iterator[None]:
+    """Raise `Interrupted` at the first signal inside the block; end the process at the next one.
+
+    Signals that the process ignores, as a shell sets them up for background commands, stay ignored.
+
+    Args:
+        whole_process: whether the process ends after the block. A signal that arrives after an interrupted
+            block then ends it without a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can handle signals
+        yield
+        return
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: handler for number, handler in before.items() if handler in usual}
+    arrivals, wakeup = socket.socketpair()
+    wakeup.setblocking(False)
+    arrived: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        if not arrived:
+            arrived.append(number)
+            raise Interrupted(number)
+
+    threading.Thread(target=_end_at_second, args=(arrivals, set(before)), daemon=True).start()
+    wakeup_before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
+    try:
+        for number in before:
+            signal.signal(number, stop)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if arrived and whole_process else handler)
+        signal.set_wakeup_fd(wakeup_before)
+        wakeup.close()
+
+
+def _end_at_second(arrivals: socket.socket, numbers: set[int]) -> None:
+    """Watch for signals in a thread, because the main thread may be inside a long call in C."""
+    first = None
+    with arrivals:
+        while arrival := arrivals.recv(1):
+            if arrival[0] not in numbers:
+                continue
+            if first is not None and time.monotonic() - first > SAME_PRESS_S:
+                os._exit(128 + arrival[0])
+            first = first or time.monotonic()
