@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
-from typing import Any, BinaryIO, Self
+from typing import Any
 
 from planspace.errors import PlanspaceError
 
@@ -123,7 +123,7 @@ class WorkerPool:
         self._calls.put((future, pack((function, args))))
         return future
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "WorkerPool":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -151,7 +151,9 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | dict(environment),
-            process_group=0 if os.name == "posix" else None,  # Ctrl-C is for the parent, which kills the worker
+            process_group=0
+            if os.name == "posix"
+            else None,  # Ctrl-C is for the parent, which kills the worker
         )
 
     def call(self, message: bytes) -> Any:
@@ -215,7 +217,7 @@ def serve() -> None:
             os._exit(ORPHAN_EXIT_CODE)
 
 
-def _read_calls(requests: BinaryIO, calls: SimpleQueue[bytes]) -> None:
+def _read_calls(requests: Any, calls: SimpleQueue[bytes]) -> None:
     try:
         while True:
             calls.put(_receive(requests))

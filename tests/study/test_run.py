@@ -161,7 +161,7 @@ def test_a_worker_killed_in_every_attempt_is_reported(tmp_path: Path) -> None:
 def test_two_commands_cannot_use_one_folder(copied: Path) -> None:
     from planspace.storage.runs import lock_folder
 
-    with lock_folder(copied), pytest.raises(PlanspaceError, match="another command is running in"):
+    with lock_folder(copied), pytest.raises(PlanspaceError, match="is in use by another planspace process"):
         run_study(TINY, copied)
     left_behind = copied / "units" / ".writing-x.json-123"
     left_behind.touch()

@@ -28,8 +28,8 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
     Signals that the process ignores, as a shell sets them up for background commands, stay ignored.
 
     Args:
-        whole_process: whether the process ends after the block. A signal that arrives after an interrupted
-            block then ends it without a traceback.
+        whole_process: whether the process ends after the block. After an interrupt, signals are then handled
+            in this way until its end.
     """
     if threading.current_thread() is not threading.main_thread():  # only the main thread can handle signals
         yield
@@ -53,10 +53,13 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
             signal.signal(number, stop)
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if arrived and whole_process else handler)
-        signal.set_wakeup_fd(wakeup_before)
-        wakeup.close()
+        if arrived and whole_process:
+            wakeup.detach()  # stays open
+        else:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            signal.set_wakeup_fd(wakeup_before)
+            wakeup.close()
 
 
 def _end_at_second(arrivals: socket.socket, numbers: set[int]) -> None:

@@ -155,11 +155,12 @@ def _store(imported: Imported, out: Path, settings: DatasetSettings, options: Im
 def _staging_folder(out: Path) -> Iterator[Path]:
     """A temporary folder in `out`. Folders made for it are removed if they are empty in the end."""
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    staging = make_folder(out) / STAGING
+    staging = out / STAGING
     try:
-        if staging.is_symlink():  # not made by us: remove the link, not its target
-            staging.unlink()
-        with lock_folder(make_folder(staging)):
+        with lock_folder(out):
+            if staging.is_symlink():  # not made by us: remove the link, not its target
+                staging.unlink()
+            make_folder(staging)
             for name in (RECORDED, RESAMPLED):  # left by a killed import
                 _remove(staging / name)
             try:

@@ -14,6 +14,7 @@ from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import json_hash
+from planspace.storage.runs import lock_folder
 from planspace.summary import html_summary, text_summary
 
 MAX_NAMES = 8
@@ -97,8 +98,9 @@ class Demos:
             PlanspaceError: the folder cannot be written, or contains other demonstrations.
         """
         settings = DatasetSettings(problem=self.info.problem, content=self.hash)
-        target = DemoFolder(Path(folder), self.info, settings)
-        target.extend(self.episode(i) for i in range(target.num_episodes, len(self)))
+        with lock_folder(Path(folder)):
+            target = DemoFolder(Path(folder), self.info, settings)
+            target.extend(self.episode(i) for i in range(target.num_episodes, len(self)))
 
     def episode(self, i: int) -> Episode:
         """Demonstration i."""

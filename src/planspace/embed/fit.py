@@ -40,7 +40,7 @@ from planspace.seams import plain_settings
 from planspace.storage.files import write_bytes
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
-from planspace.storage.runs import open_run
+from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import Tracker, open_tracker
 
 MEASURED = 20
@@ -137,13 +137,23 @@ class _Request:
 
 
 def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embedding:
-    config, split_seed = request.config, request.split_seed
-    prepared = _prepare(demos, config, split_seed)  # refuses unusable input before anything is written
-    seeds = list(request.seeds if prepared.solution is None else request.seeds[:1])
-    settings = TrainingSettings(demos.hash, tuple(seeds), split_seed, fit=plain_settings(config))
-    open_run(out, asdict(settings), update=lambda saved: saved | {"fit": update_saved(saved.get("fit", {}))})
-    if (out / DESCRIPTION).exists():
-        return load_embedding(out)
+    prepared = _prepare(demos, request.config, request.split_seed)  # refuses unusable input before writing
+    seeds = tuple(request.seeds if prepared.solution is None else request.seeds[:1])
+    fit = plain_settings(request.config)
+    settings = TrainingSettings(demos.hash, seeds, request.split_seed, fit=fit)
+    with lock_folder(out):
+        open_run(
+            out, asdict(settings), update=lambda saved: saved | {"fit": update_saved(saved.get("fit", {}))}
+        )
+        if (out / DESCRIPTION).exists():
+            return load_embedding(out)
+        return _train_and_save(prepared, out, request.config, settings, tensorboard)
+
+
+def _train_and_save(
+    prepared: "_Prepared", out: Path, config: FitConfig, settings: TrainingSettings, tensorboard: bool
+) -> Embedding:
+    seeds, split_seed = settings.seeds, settings.split_seed
     embeddings = _train_seeds(prepared, out, config, seeds, tensorboard)
     split, used = prepared.split, prepared.demos
     chosen, validation = choose(embeddings, used, split, config)
@@ -160,7 +170,7 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
         objective=ObjectiveSummary(
             title_of(config.objective), summary_of(config.objective), prepared.solution is not None
         ),
-        problem=demos.info.problem,
+        problem=prepared.demos.info.problem,
         split={name: tuple(part.tolist()) for name, part in split.items()},
         metrics={name: asdict(measure(best, used, part)) for name, part in split.items()},
         intervals={"test": bootstrap_intervals(tabulate(best, used, split["test"]))},

@@ -32,6 +32,7 @@ from planspace.storage.checks import reject_malformed
 from planspace.storage.files import read_bytes
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
+from planspace.storage.runs import lock_folder
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 
@@ -178,11 +179,13 @@ def _plan_missing(
     check_problem(config.planner, problem)
     _check_start(problem)
     check_workers(problem, config, workers)
-    folder = DemoFolder(out, state_info(problem), _settings(problem, config, seed), upgrade=upgrade_settings)
-    remaining = range(folder.next_index, num)
-    if remaining:
-        with closing(plan_all(problem, config, seed, remaining, workers)) as plans:  # kills the workers
-            _extend(folder, remaining, plans)
+    info, settings = state_info(problem), _settings(problem, config, seed)
+    with lock_folder(out):
+        folder = DemoFolder(out, info, settings, upgrade=upgrade_settings)
+        remaining = range(folder.next_index, num)
+        if remaining:
+            with closing(plan_all(problem, config, seed, remaining, workers)) as plans:  # kills the workers
+                _extend(folder, remaining, plans)
     return folder
 
 

@@ -23,7 +23,7 @@ def plan_one(problem: Problem, config: PlanConfig, seed: int, index: int) -> Epi
 
 def plan_all(
     problem: Problem, config: PlanConfig, seed: int, indices: range, workers: int | None
-) -> Generator[Episode | Failure]:
+) -> Generator[Episode | Failure, None, None]:
     """Plan demonstrations and yield them in order.
 
     Args:

@@ -39,7 +39,7 @@ from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checkpoint import FILE, load_checkpoint, save_checkpoint
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
-from planspace.storage.runs import open_run
+from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import TrackerName, open_trackers
 from planspace.tasks.catalog import find_task
 from planspace.tasks.task import Task, find_reward_type
@@ -120,14 +120,15 @@ def train_policies(
     shaping = Shaping.of(config, task, per_seed)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
-    open_run(run, _settings(task, config, given))
-    if (run / HISTORY).exists():
-        history = load_history(run, (config.iterations, config.num_seeds))
-    else:
-        num = config.num_seeds * num_episodes(task, config.batch_steps)
-        batch = TaskBatch(task, num, reward=config.reward)
-        with progress_shown(verbose):
-            history = _train(Arm(config, observer, batch, shaping), given, run, track)
+    with lock_folder(run):
+        open_run(run, _settings(task, config, given))
+        if (run / HISTORY).exists():
+            history = load_history(run, (config.iterations, config.num_seeds))
+        else:
+            num = config.num_seeds * num_episodes(task, config.batch_steps)
+            batch = TaskBatch(task, num, reward=config.reward)
+            with progress_shown(verbose):
+                history = _train(Arm(config, observer, batch, shaping), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
 
 

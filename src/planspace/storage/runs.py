@@ -1,17 +1,13 @@
 """Run folders: their settings and their lock."""
 
 import contextlib
+import errno
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-
-try:
-    import fcntl
-except ImportError:  # Windows has no flock
-    fcntl = None
 
 from planspace.errors import PlanspaceError
 from planspace.storage.checks import CONFIG, explain_write
@@ -20,6 +16,10 @@ from planspace.storage.json_files import read_json, write_json
 from planspace.storage.settings import list_differences, update_settings
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+LOCK = f"{TEMPORARY_PREFIX}lock"
+"""The file that is locked; like other temporary files, it is no part of a folder's content."""
+WITHOUT_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}
+"""Errors of file systems that cannot lock. Commands then work without a lock."""
 
 
 def open_run(
@@ -75,22 +75,40 @@ def _check_empty(path: Path) -> None:
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Reserve a folder for this process inside the block. A crash releases it.
+    """Make a folder, and reserve it for this process inside the block. The end of the process releases it.
 
     Raises:
-        PlanspaceError: another process has reserved it.
+        PlanspaceError: another process has reserved it, or it cannot be written.
     """
+    import filelock
+
+    file = make_folder(folder) / LOCK
+    lock = filelock.FileLock(file)
     with explain_write(folder):
-        flags = os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)  # never create the target of a link
-        descriptor = os.open(folder / f"{TEMPORARY_PREFIX}lock", flags)
+        try:
+            lock.acquire(blocking=False)
+        except filelock.Timeout:
+            raise PlanspaceError(
+                f"{folder} is in use by another planspace process{_holder(file)}; wait for it, or choose "
+                "another --out."
+            ) from None
+        except OSError as error:
+            if error.errno not in WITHOUT_LOCKS:
+                raise
     try:
-        if fcntl is not None:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise PlanspaceError(
-                    f"another command is running in {folder}; wait for it, or choose another --out."
-                ) from error
+        if lock.is_locked:
+            with contextlib.suppress(OSError):
+                file.write_text(str(os.getpid()))  # for the message above
         yield
     finally:
-        os.close(descriptor)
+        if lock.is_locked:
+            with contextlib.suppress(OSError):  # Windows removes no open file
+                file.unlink()
+        lock.release()
+
+
+def _holder(lock: Path) -> str:
+    """The process that holds a lock, if it can be read."""
+    with contextlib.suppress(OSError, ValueError):
+        return f" (pid {int(lock.read_bytes()[:20])})"
+    return ""

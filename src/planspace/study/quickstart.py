@@ -16,7 +16,7 @@ from planspace.rl.history import frozen_seeds
 from planspace.rl.training import train_policies
 from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json, write_json
-from planspace.storage.runs import open_run
+from planspace.storage.runs import lock_folder, open_run
 from planspace.study.quickstart_report import write_report
 from planspace.study.run_summary import ArmReturns, DemosSummary, GeometrySummary, RunSummary, as_json
 from planspace.tasks.catalog import find_task
@@ -86,11 +86,16 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSum
     Raises:
         PlanspaceError: a stage failed. Earlier work is saved.
     """
-    task = find_task(task_name)
+    find_task(task_name)  # refuses an unknown name before anything is written
     if budget_name not in BUDGETS:
         raise unknown("budget", budget_name, BUDGETS)
-    budget = BUDGETS[budget_name]
-    open_run(out, _config(task_name, budget_name, budget, seed))
+    with lock_folder(out):
+        open_run(out, _config(task_name, budget_name, BUDGETS[budget_name], seed))
+        return _run_stages(task_name, budget_name, out, seed)
+
+
+def _run_stages(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
+    task, budget = find_task(task_name), BUDGETS[budget_name]
     problem = load_problem(task.problem)
     plan_into(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
     demos = load_demos(out / "demos")

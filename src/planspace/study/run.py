@@ -61,11 +61,11 @@ def run_study(
 
     Raises:
         PlanspaceError: the folder was made with other versions, is not a folder of studies, or is in use by
-            another command.
+            another process.
     """
-    open_results(out)
-    make_folder(out / "work")
     with lock_folder(out):
+        open_results(out)
+        make_folder(out / "work")
         for partial in (out / "units").glob(f"{TEMPORARY_PREFIX}*"):  # left by a process killed while writing
             partial.unlink()
         state = _State(units_to_run(study, out))
