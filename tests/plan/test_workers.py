@@ -272,9 +272,7 @@ def test_a_planner_that_crashes_its_worker_is_named(problem: str, tmp_path: Path
         def plan(self, query: object, rng: object) -> None:
             os.abort()
 
-    with pytest.raises(
-        ps.PlanspaceError, match=r"ended unexpectedly \(exit code -6\) while planning"
-    ):
+    with pytest.raises(ps.PlanspaceError, match=r"ended unexpectedly \(exit code -6\) while planning"):
         ps.plan_demos(problem, 3, planner=Crashing(), workers=2, verbose=False)
 
 

@@ -37,7 +37,7 @@ from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 
 SHARD_EPISODES = 10
-"""Plans per shard. A kill loses the plans since the last shard; Ctrl-C and errors only those in progress."""
+"""Plans per shard. A kill loses the plans since the last shard, an interrupt those after the first unfinished one."""
 LOG = "log.jsonl"
 
 
@@ -66,8 +66,8 @@ def plan_demos(  # noqa: PLR0913
         out: a dataset folder. The plans that it already holds are kept. By default the plans are only
             returned.
         seed: seed of all starts, goals and searches.
-        workers: number of processes; by default one for each CPU. 0 plans in this process, which needs no
-            importable planner; its results may differ in their last bits.
+        workers: number of processes; by default one for each CPU. 0 plans in this process; its results may
+            differ in their last bits.
         verbose: show a progress bar.
 
     Returns:

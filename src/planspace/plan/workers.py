@@ -16,11 +16,6 @@ from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_
 ADVICE = f"Put the planner in a module of its own, or plan with workers=0. See {PAGE}."
 
 
-def plan_one(problem: Problem, config: PlanConfig, seed: int, index: int) -> Episode | Failure:
-    """Plan one demonstration in this process."""
-    return Pipeline(problem, config).plan(seed, index)
-
-
 def plan_all(
     problem: Problem, config: PlanConfig, seed: int, indices: range, workers: int | None
 ) -> Generator[Episode | Failure, None, None]:
