@@ -37,7 +37,7 @@ from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 
 SHARD_EPISODES = 10
-"""Plans per shard. A kill loses the plans since the last shard, an interrupt those after the first unfinished one."""
+"""Plans per shard. A kill loses those since the last shard, Ctrl-C those after the first unfinished plan."""
 LOG = "log.jsonl"
 
 
