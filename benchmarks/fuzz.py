@@ -38,7 +38,7 @@ SEED_CSV = b"time,x,control\n0,1,2\n0.5,2,3\n"
 Probe = Callable[[bytes], None]
 
 
-def fuzz(target: str, seconds: int, kept: Path) -> None:
+def fuzz(target: str, seconds: int, out: Path) -> None:
     """Fuzz one target. Run this in a separate process, because libFuzzer never returns."""
     import atheris
 
@@ -54,12 +54,12 @@ def fuzz(target: str, seconds: int, kept: Path) -> None:
         with contextlib.suppress(PlanspaceError), contextlib.redirect_stderr(io.StringIO()):
             probe(data)
 
-    corpus = kept / f"{target}-corpus"
+    corpus = out / f"{target}-corpus"
     corpus.mkdir(parents=True, exist_ok=True)
     for number, seed in enumerate(seeds):
         (corpus / f"seed-{number}").write_bytes(seed)
     limits = [f"-max_total_time={seconds}", "-timeout=20", "-rss_limit_mb=4096", "-max_len=8192"]
-    atheris.Setup([target, *limits, f"-artifact_prefix={kept}/{target}-", str(corpus)], probe_one)
+    atheris.Setup([target, *limits, f"-artifact_prefix={out}/{target}-", str(corpus)], probe_one)
     atheris.Fuzz()
 
 
@@ -174,17 +174,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=int, default=600, help="time for all targets together")
     parser.add_argument("--only", default=",".join(TARGETS))
-    parser.add_argument("--kept", type=Path, default=Path("runs/fuzz"), help="folder for bad files")
+    parser.add_argument("--out", type=Path, default=Path("runs/fuzz"), help="folder for bad files")
     parser.add_argument("--one", default="", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    kept = options.kept.absolute()
+    out = options.out.absolute()
     if options.one:
-        fuzz(options.one, options.seconds, kept)
+        fuzz(options.one, options.seconds, out)
     names = options.only.split(",")
     print("command: python benchmarks/fuzz.py", " ".join(sys.argv[1:]))
     failed = []
     for name in names:
-        words = ["--one", name, "--seconds", str(max(1, options.seconds // len(names))), "--kept", str(kept)]
+        words = ["--one", name, "--seconds", str(max(1, options.seconds // len(names))), "--out", str(out)]
         done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
         tried = re.findall(r"^(?:Done (\d+) runs|#(\d+)\b)", done.stderr, re.MULTILINE)
         number = next((a or b for a, b in reversed(tried)), "0")

@@ -49,18 +49,18 @@ def library(algo: str, seed: int) -> list[Row]:
     from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
     class Returns(BaseCallback):
-        """Keeps the mean return of each iteration's episodes."""
+        """Collects the mean return of each iteration's episodes."""
 
         def __init__(self) -> None:
             super().__init__()
-            self.kept: list[float] = []
+            self.means: list[float] = []
 
         def _on_step(self) -> bool:
             return True
 
         def _on_rollout_end(self) -> None:
             last = list(self.model.ep_info_buffer)[-BATCH_STEPS // TASK.horizon :]
-            self.kept.append(float(np.mean([episode["r"] for episode in last])))
+            self.means.append(float(np.mean([episode["r"] for episode in last])))
 
     torch.set_num_threads(1)
     num_envs = BATCH_STEPS // TASK.horizon
@@ -74,7 +74,7 @@ def library(algo: str, seed: int) -> list[Row]:
     agent.learn(STEPS, callback=returns)
     return [
         Row("sb3", algo, seed, None, BATCH_STEPS * (i + 1), "return", round(value, 2))
-        for i, value in enumerate(returns.kept)
+        for i, value in enumerate(returns.means)
     ]
 
 

@@ -185,8 +185,8 @@ def growth() -> None:
             wall, acting = spent["wall"], spent["collect"]
             learning = wall - acting
             busy = min(spent["update"] / min(count_cores(), num_seeds), learning)
-            shares = spent["physics"] / wall, (acting - spent["physics"]) / wall, busy / wall
-            row = "".join(f"{share:>10.0%}" for share in (*shares, 1 - sum(shares)))
+            fractions = spent["physics"] / wall, (acting - spent["physics"]) / wall, busy / wall
+            row = "".join(f"{x:>10.0%}" for x in (*fractions, 1 - sum(fractions)))
             print(f"{algo + ', ' + preset:<16}{num_seeds:>6}{rate:>12,.0f}{row}", flush=True)
 
 

@@ -75,7 +75,7 @@ def read_array(path: Path, name: str) -> np.ndarray:
 
 
 def read_arrays_and_metadata(path: Path) -> tuple[Arrays, dict[str, Any]]:
-    """Read the arrays of a safetensors file and the metadata that `write_arrays` kept with them.
+    """Read the arrays of a safetensors file and the metadata that `write_arrays` stored with them.
 
     Raises:
         PlanspaceError: the file is missing or damaged, or holds no metadata.
