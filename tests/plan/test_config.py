@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from planspace.errors import UsageError
-from planspace.plan.config import PlanConfig, PolishConfig
+from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig
 from planspace.plan.ompl.planners import OMPL
 from planspace.plan.planner import Failure
 from planspace.plan.sst import SST
@@ -27,9 +27,24 @@ def test_settings_reach_the_parts_they_name() -> None:
     problem = replace(load_problem("cartpole"), settings=(("min_rounds", 9), ("polish_max_blocks", 50)))
     config = PlanConfig.for_problem(problem, restarts=3, ompl_seconds=None)
     assert config == PlanConfig(SST(min_rounds=9), 3, PolishConfig(max_blocks=50))
-    wider = PlanConfig.for_problem(problem, min_edge_steps=20, sst_max_edge_steps=40)
-    assert wider.planner == SST(min_rounds=9, min_edge_steps=20, max_edge_steps=40)
+    wider = PlanConfig.for_problem(problem, min_edge_s=0.5, sst_max_edge_s=1.0)
+    assert wider.planner == SST(min_rounds=9, min_edge_s=0.5, max_edge_s=1.0)
     assert PlanConfig.for_problem(problem, restarts=4.0).restarts == 4
+
+
+def test_settings_in_physics_steps_are_read_as_seconds() -> None:
+    """Problem files of version 0.1.0 have them; the cart-pole's time step is 0.02 s."""
+    old = {
+        "max_edge_steps": 20,
+        "sst_min_edge_steps": 2,
+        "regulator_max_steps": 150,
+        "ompl_max_edge_steps": 5,
+    }
+    config = PlanConfig.for_problem(replace(load_problem("cartpole"), settings=tuple(old.items())))
+    assert config.planner == SST(min_edge_s=0.04, max_edge_s=0.4)
+    assert config.regulator == RegulatorConfig(max_s=3.0)
+    with pytest.raises(UsageError, match="`ompl_min_edge_s` must be above 0 and at most .*, 0.1"):
+        PlanConfig.for_problem(load_problem("cartpole"), ompl_max_edge_steps=5, ompl_min_edge_steps=6)
 
 
 def test_settings_of_other_planners_are_checked_and_not_used() -> None:
@@ -66,7 +81,7 @@ def test_number_of_searches() -> None:
         ({"seconds": -1}, "settings: .*must"),
         ({"polish_max_blocks": 0}, "settings: .*polish_max_blocks.*must"),
         ({"polish_landing": 0}, "settings: .*polish_landing.*must"),
-        ({"regulator_max_steps": 0}, "settings: .*regulator_max_steps.*must"),
+        ({"regulator_max_s": 0}, "settings: .*regulator_max_s.*must"),
         ({"ompl_seconds": 0}, "settings: .*ompl_seconds.*must"),
         ({"min_round": 3}, "unknown setting 'min_round'. Did you mean 'sst_min_rounds'"),
         ({"min_rounds": 4.5}, "'min_rounds' takes an integer, got 4.5"),

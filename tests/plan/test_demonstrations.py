@@ -124,9 +124,9 @@ def test_settings_of_version_0_1_0_are_read_under_today_s_names() -> None:
     golden = Path(__file__).parents[1] / "golden" / "2026-11" / "demos" / "manifest.json"
     saved = json.loads(golden.read_text())["settings"]
     config = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=10))
-    assert upgrade_settings(saved)["config"] == plain_settings(config)  # pyright: ignore
+    assert upgrade_settings(saved, 0.02)["config"] == plain_settings(config)  # pyright: ignore
     ompl = saved | {"planner": "ompl-rrt", "config": saved["config"] | {"restarts": 2}}
     config = replace(config, planner=PLANNERS["ompl-rrt"])
-    assert upgrade_settings(ompl)["config"] == plain_settings(config)  # pyright: ignore
+    assert upgrade_settings(ompl, 0.02)["config"] == plain_settings(config)  # pyright: ignore
     for malformed in ({}, {"planner": {}, "config": {}}, {"planner": "sst", "config": {"sst": 1}}):
-        assert upgrade_settings(malformed) == malformed  # pyright: ignore
+        assert upgrade_settings(malformed, 0.02) == malformed  # pyright: ignore

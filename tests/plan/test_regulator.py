@@ -30,7 +30,7 @@ def test_catches_a_tilted_pole_and_reports_when_it_cannot(simulator: Simulator, 
         False,
         True,
     ]  # the hanging pole is too far away; a full turn does not matter
-    assert 1 < steps[0] <= RegulatorConfig().max_steps
+    assert 1 < steps[0] <= RegulatorConfig().max_s / simulator.model.opt.timestep
     # the returned controls lead to the goal
     simulator.reset(starts[:1], np.array([0], dtype=np.int32))
     for control in controls[0, : steps[0]]:
@@ -48,7 +48,7 @@ def test_a_direction_without_weight_and_control_is_ignored() -> None:
     model, space = problem.compile()
     simulator = Simulator(model, space, 32, threads=1)
     goal = problem.draw_goal(space, np.random.default_rng(0))
-    regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig(max_steps=150))
+    regulator = Regulator(simulator, goal, problem.weights(space), RegulatorConfig(max_s=3.0))
     tilted = space.integrate(goal.center, np.array([0.1, -0.1, 0.5, 0.0, 0.0, 0.0]))
     assert goal.distance(tilted) == pytest.approx(0.2)  # the rotation of 0.5 rad has weight 0
     *_, arrived = regulator.finish(simulator, tilted[None])

@@ -88,7 +88,7 @@ def test_gives_up_within_its_budget_and_reports_the_nearest_distance() -> None:
         ({"extensions": 0}, "`extensions` must be at least 1, got 0."),
         ({"shrink": 0.0}, "`shrink` must be above 0 and at most 1, got 0.0."),
         ({"shrink": 1.5}, "`shrink` must be above 0 and at most 1, got 1.5."),
-        ({"min_edge_steps": 11}, "`min_edge_steps` must be at most max_edge_steps, which is 10, got 11."),
+        ({"min_edge_s": 0.3}, "`min_edge_s` must be above 0 and at most max_edge_s, 0.2, got 0.3."),
         ({"bang_bang": 2.0}, "`bang_bang` must be between 0 and 1, got 2.0."),
         ({"seconds": -1.0}, "`seconds` must be at least 0, got -1.0."),
     ],

@@ -9,7 +9,7 @@ import numpy as np
 from planspace.errors import UsageError, unknown
 
 Kind = Literal["slide", "hinge", "circle", "ball", "free"]
-"""`circle` is an unlimited hinge."""
+"""`circle` is an unlimited hinge whose number of turns does not matter."""
 PositionBounds = Mapping[str, tuple[Sequence[float], Sequence[float]]]
 """Joint name to its lower and upper bounds."""
 
@@ -46,6 +46,9 @@ _KINDS: dict[int, Kind] = {
     int(mujoco.mjtJoint.mjJNT_BALL): "ball",
     int(mujoco.mjtJoint.mjJNT_FREE): "free",
 }
+TURN = 2 * np.pi
+"""An unlimited hinge that counts its turns is bounded to a turn in each direction, unless the user says
+otherwise [rad]."""
 _NUM_BOUNDS: dict[Kind, int] = {"slide": 1, "hinge": 1, "free": 3}
 """Positions for which the user may set bounds."""
 
@@ -63,9 +66,54 @@ def find_joint(model: mujoco.MjModel, name: str) -> int:
 
 
 def joint_kind(model: mujoco.MjModel, joint: int) -> Kind:
-    """Return the kind of the joint with this id."""
+    """Return the kind of the joint with this id.
+
+    An unlimited hinge is a circle only if nothing in the model depends on its number of turns.
+    """
     kind: Kind = _KINDS[int(model.jnt_type[joint])]
-    return "circle" if kind == "hinge" and not model.jnt_limited[joint] else kind
+    if kind != "hinge" or model.jnt_limited[joint] or counts_turns(model, joint):
+        return kind
+    return "circle"
+
+
+def counts_turns(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether the dynamics depend on a hinge's number of turns: by a spring, servo, tendon or equality."""
+    if model.jnt_stiffness[joint] or _has_servo(model, mujoco.mjtTrn.mjTRN_JOINT, joint):
+        return True
+    for i in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
+        if joint in (model.eq_obj1id[i], model.eq_obj2id[i]):
+            return True
+    return any(_tendon_counts(model, tendon) for tendon in _tendons_of(model, joint))
+
+
+def _tendons_of(model: mujoco.MjModel, joint: int) -> list[int]:
+    """The fixed tendons that a joint belongs to."""
+    found = []
+    for tendon in range(model.ntendon):
+        first = model.tendon_adr[tendon]
+        wraps = slice(first, first + model.tendon_num[tendon])
+        is_joint = model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+        if (is_joint & (model.wrap_objid[wraps] == joint)).any():
+            found.append(tendon)
+    return found
+
+
+def _tendon_counts(model: mujoco.MjModel, tendon: int) -> bool:
+    equalities = model.eq_type == int(mujoco.mjtEq.mjEQ_TENDON)
+    in_equality = equalities & ((model.eq_obj1id == tendon) | (model.eq_obj2id == tendon))
+    return bool(
+        model.tendon_stiffness[tendon]
+        or model.tendon_limited[tendon]
+        or in_equality.any()
+        or _has_servo(model, mujoco.mjtTrn.mjTRN_TENDON, tendon)
+    )
+
+
+def _has_servo(model: mujoco.MjModel, transmission: mujoco.mjtTrn, target: int) -> bool:
+    """Whether an actuator of this joint or tendon has a force that depends on its length."""
+    of_target = (model.actuator_trntype == int(transmission)) & (model.actuator_trnid[:, 0] == target)
+    by_length = (model.actuator_biasprm[:, 1] != 0) | (model.actuator_gainprm[:, 1] != 0)
+    return bool((of_target & by_length).any())
 
 
 def qpos_indices(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -96,6 +144,8 @@ def read_bounds(model: mujoco.MjModel, joint: int, given: PositionBounds) -> tup
     high = -low
     if kind in ("slide", "hinge") and model.jnt_limited[joint]:
         low[:], high[:] = model.jnt_range[joint]
+    elif kind == "hinge" and name not in given:
+        low[:], high[:] = -TURN, TURN
     if name in given:
         size = _NUM_BOUNDS.get(kind, 0)
         if not size or any(len(side) != size for side in given[name]):

@@ -10,6 +10,7 @@ positions along it, and MuJoCo computes only contacts.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import mujoco
@@ -19,6 +20,7 @@ from mujoco.batch import Batch
 
 from planspace.errors import UsageError
 from planspace.mjcf.compile import GeomPairs, stepping
+from planspace.physics.constraints import Constraints
 from planspace.physics.space import StateSpace
 
 _WARNINGS = [
@@ -92,6 +94,11 @@ class Simulator:
             self._contacts = self._batch.bind("sensordata" if validity.pairs else "ncon")
         self.control_low, self.control_high = control_bounds(model, space)
 
+    @cached_property
+    def constraints(self) -> Constraints:
+        """What the model requires of a state."""
+        return Constraints(self.model, self.space)
+
     def reset(self, states: Float[np.ndarray, "sim state"], ids: np.ndarray | None = None) -> None:
         """Set the states of all simulations, or of those in `ids`, and clear the solver's warm start."""
         index = slice(None) if ids is None else ids
@@ -162,17 +169,19 @@ class Simulator:
         starts: Float[np.ndarray, "edge state"],
         controls: Float[np.ndarray, "edge control"],
         durations: Int[np.ndarray, " edge"],
+        stride: int = 1,
     ) -> tuple[Float[np.ndarray, "edge state"], Bool[np.ndarray, " edge"]]:
         """Simulate one edge of a planning tree in each simulation.
 
         Args:
             starts: start state of each edge; at most `num` edges.
             controls: control of each edge, constant along it.
-            durations: number of physics steps of each edge, at least 1.
+            durations: number of physics steps of each edge, a multiple of `stride`.
+            stride: number of physics steps between two checks of the states.
 
         Returns:
-            The end state of each edge, and whether the edge is valid: its state is valid after every step,
-            and MuJoCo gave no warning of any kind.
+            The end state of each edge, and whether the edge is valid: its state is valid at every check, and
+            MuJoCo gave no warning of any kind.
         """
         order = np.argsort(-durations, kind="stable")  # longest first: the edges still moving are a prefix
         sorted_durations = durations[order]
@@ -180,9 +189,9 @@ class Simulator:
         every = np.arange(n, dtype=np.int32)
         self.reset(starts[order], every)
         valid = np.ones(n, dtype=bool)
-        for step in range(int(sorted_durations[0])):
+        for step in range(0, int(sorted_durations[0]), stride):
             moving = every[: np.searchsorted(-sorted_durations, -step, side="left")]
-            self.step(controls[order[: len(moving)]], ids=moving)
+            self.step(controls[order[: len(moving)]], stride, ids=moving)
             valid[: len(moving)] &= self.allowed(len(moving))
         ends = self.space.read(self._qpos[:n], self._qvel[:n])
         valid &= ~self._batch.warning[:n, :, 1].any(axis=1)  # any kind, not only divergence

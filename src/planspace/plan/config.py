@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from planspace.errors import UsageError, check_setting, unknown
+from planspace.plan.durations import in_seconds
 from planspace.plan.planner import PAGE, Planner, as_planner
 from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
@@ -25,7 +26,9 @@ class PolishConfig:
     max_iterations: Annotated[int, arg(name="polish-max-iterations")] = 80
     """Linear programs in total, each followed by a simulation; 0 leaves the planner's path as it is."""
     max_blocks: Annotated[int, arg(name="polish-max-blocks")] = 400
-    """A plan with more physics steps is polished in blocks of several steps under one control."""
+    """A plan with more steps of `polish_step_s` is polished in longer steps."""
+    step_s: Annotated[float, arg(name="polish-step-s")] = 0.01
+    """Time for which a polished plan holds each control [s]; at least one physics step."""
     landing: Annotated[float, arg(name="polish-landing")] = 1.0
     """Aim at this fraction of the goal's tolerance."""
     tracking_cost: Annotated[float, arg(name="polish-tracking-cost")] = 0.01
@@ -40,6 +43,7 @@ class PolishConfig:
         """
         check_setting("polish_max_iterations", self.max_iterations, self.max_iterations >= 0, "at least 0")
         check_setting("polish_max_blocks", self.max_blocks, self.max_blocks >= 1, "at least 1")
+        check_setting("polish_step_s", self.step_s, self.step_s > 0, "above 0")
         check_setting("polish_landing", self.landing, 0 < self.landing <= 1, "above 0 and at most 1")
         check_setting("polish_tracking_cost", self.tracking_cost, self.tracking_cost > 0, "above 0")
 
@@ -53,10 +57,12 @@ class RegulatorConfig:
     strongly."""
     velocity_cost: Annotated[float, arg(name="regulator-velocity-cost")] = 0.1
     """Factor on the weights of velocities; lower values let the robot move faster."""
-    max_steps: Annotated[int, arg(name="regulator-max-steps")] = 75
-    """Physics steps within which the regulator must arrive."""
-    hold_steps: Annotated[int, arg(name="regulator-hold-steps")] = 50
-    """Physics steps for which the regulator must then hold the goal, if the problem wants it held."""
+    max_s: Annotated[float, arg(name="regulator-max-s")] = 1.5
+    """Time within which the regulator must arrive [s]."""
+    hold_s: Annotated[float, arg(name="regulator-hold-s")] = 1.0
+    """Time for which the regulator must then hold the goal [s], if the problem wants it held."""
+    step_s: Annotated[float, arg(name="regulator-step-s")] = 0.01
+    """Time for which the regulator holds each control [s]; at least one physics step."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -64,8 +70,9 @@ class RegulatorConfig:
         Raises:
             UsageError: a setting is out of its range.
         """
-        check_setting("regulator_max_steps", self.max_steps, self.max_steps >= 1, "at least 1")
-        check_setting("regulator_hold_steps", self.hold_steps, self.hold_steps >= 0, "at least 0")
+        check_setting("regulator_max_s", self.max_s, self.max_s > 0, "above 0")
+        check_setting("regulator_hold_s", self.hold_s, self.hold_s >= 0, "at least 0")
+        check_setting("regulator_step_s", self.step_s, self.step_s > 0, "above 0")
         check_setting("regulator_control_cost", self.control_cost, self.control_cost > 0, "above 0")
         check_setting("regulator_velocity_cost", self.velocity_cost, self.velocity_cost >= 0, "at least 0")
 
@@ -113,6 +120,8 @@ class PlanConfig:
         given = {"planner": problem.planner, **dict(problem.settings)}
         given |= {key: value for key, value in changes.items() if value is not None}
         chosen = given.pop("planner")
+        if any(name.endswith("_steps") for name in given):  # of version 0.1.0
+            given = in_seconds(given, problem.compile()[0].opt.timestep)
         return _Settings(find_planner(chosen)).configured(given)
 
 

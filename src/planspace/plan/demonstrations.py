@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulator import Simulator
-from planspace.plan.config import PlanConfig, find_planner
+from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig, find_planner
+from planspace.plan.durations import in_seconds
 from planspace.plan.pipeline import MAX_ATTEMPTS
 from planspace.plan.planner import Failure, check_problem
 from planspace.plan.planners import PLANNERS
@@ -78,7 +80,7 @@ def plan_demos(  # noqa: PLR0913
         PlanspaceError: `out` cannot be written or holds something else, or the problem has no valid start.
         PartialResult: no plan at all was found.
     """
-    problem = problem if isinstance(problem, Problem) else load_problem(str(problem))
+    problem = load_problem(problem)
     if config is None:
         config = PlanConfig.for_problem(problem, planner=planner)
     elif planner is not None:
@@ -151,10 +153,15 @@ def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSetting
     }
 
 
-def upgrade_settings(settings: DatasetSettings) -> DatasetSettings:
+def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSettings:
     """A manifest's settings as this version writes them.
 
-    Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`.
+    Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`, and
+    durations in physics steps.
+
+    Args:
+        settings: the settings of the manifest.
+        time_step: the model's time step [s].
     """
     config, name = settings.get("config"), settings.get("planner")
     if not isinstance(config, dict) or not isinstance(name, str) or name not in PLANNERS:
@@ -162,12 +169,13 @@ def upgrade_settings(settings: DatasetSettings) -> DatasetSettings:
     group = name.partition("-")[0]
     if not isinstance(own := config.get(group), dict):
         return settings
+    parts = {"planner": own, "polish": config.get("polish"), "regulator": config.get("regulator")}
+    defaults = {"planner": PLANNERS[name], "polish": PolishConfig(), "regulator": RegulatorConfig()}
     current = {
-        "planner": plain_settings(PLANNERS[name]) | own,
-        "restarts": config.get("restarts") if group == SST.name else 1,
-        "polish": config.get("polish"),
-        "regulator": config.get("regulator"),
+        part: plain_settings(defaults[part]) | in_seconds(saved or {}, time_step)
+        for part, saved in parts.items()
     }
+    current["restarts"] = config.get("restarts") if group == SST.name else 1
     return settings | DatasetSettings(config=current)
 
 
@@ -181,7 +189,8 @@ def _plan_missing(
     check_workers(problem, config, workers)
     info, settings = state_info(problem), _settings(problem, config, seed)
     with lock_folder(out):
-        folder = DemoFolder(out, info, settings, upgrade=upgrade_settings)
+        upgrade = partial(upgrade_settings, time_step=problem.compile()[0].opt.timestep)
+        folder = DemoFolder(out, info, settings, upgrade=upgrade)
         remaining = range(folder.next_index, num)
         if remaining:
             with closing(plan_all(problem, config, seed, remaining, workers)) as plans:  # kills the workers

@@ -5,6 +5,7 @@
     A_k = d x_{k+1} / d x_k,    B_k = d x_{k+1} / d u_k
 """
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -79,15 +80,40 @@ def tracking_gains(
 def equilibrium_control(
     simulator: Simulator, state: Float[np.ndarray, " state"]
 ) -> Float[np.ndarray, " control"]:
-    """The control within bounds under which a state changes least (Gauss-Newton)."""
+    """The control within bounds under which a state changes least (Gauss-Newton).
+
+    The search starts at the control at which actuators exert no force. For a servo that is its target at the
+    state; at any other target it may be saturated, where its force has no slope.
+    """
     low, high = simulator.control_low, simulator.control_high
-    control = np.clip(np.zeros(len(low)), low, high)
+    control = forceless_control(simulator, state)
     for _ in range(EQUILIBRIUM_ITERATIONS):
         _, b = along(simulator, state[None], control[None])
         moved = simulator.space.difference(_step_all(simulator, state[None], control[None], 1)[0], state)
         change = np.linalg.lstsq(b[0], -moved, rcond=1e-9)[0]
         control = np.clip(control + change, low, high)
     return control
+
+
+def forceless_control(
+    simulator: Simulator, state: Float[np.ndarray, " state"]
+) -> Float[np.ndarray, " control"]:
+    """The control within bounds at which each actuator exerts no force in a state; 0 for a motor."""
+    low, high = simulator.control_low, simulator.control_high
+    if simulator.space.kinematic:
+        return np.clip(np.zeros(len(low)), low, high)
+    simulator.reset(state[None], np.zeros(1, dtype=np.int32))
+    data, model = simulator.mujoco_data(0), simulator.model
+    length, speed = data.actuator_length, data.actuator_velocity
+    gain, bias = (_affine(terms, length, speed) for terms in (model.actuator_gainprm, model.actuator_biasprm))
+    has_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    usable = has_bias & (model.actuator_gaintype <= int(mujoco.mjtGain.mjGAIN_AFFINE)) & (gain != 0)
+    return np.clip(np.where(usable, -bias / np.where(usable, gain, 1.0), 0.0), low, high)
+
+
+def _affine(terms: np.ndarray, length: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """The terms of MuJoCo's affine gains and biases: constant, length, velocity."""
+    return terms[:, 0] + terms[:, 1] * length + terms[:, 2] * speed
 
 
 def _step_all(simulator: Simulator, starts: np.ndarray, controls: np.ndarray, num_steps: int) -> np.ndarray:

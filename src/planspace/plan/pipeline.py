@@ -14,6 +14,7 @@ from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig
+from planspace.plan.durations import num_steps
 from planspace.plan.planner import Failure, Plan, search
 from planspace.plan.polish import Polish
 from planspace.plan.proof import replay_plan
@@ -30,8 +31,10 @@ NUM_SIMULATIONS = 512
 """Simulations that a planner finds in its query."""
 LANDINGS = (1.0, 0.5, 0.2)
 """A polished plan whose goal cannot be held is polished again, towards these fractions of the tolerance."""
-DEEPER_STEPS = 10
-"""Physics steps added to a plan before it is polished again."""
+SAME_STATES = 1e-9
+"""Largest difference between two simulations of a plan that differ only in turns of an angle [any unit]."""
+DEEPER_S = 0.2
+"""Time added to a plan before it is polished again [s]."""
 
 
 class Pipeline:
@@ -61,6 +64,8 @@ class Pipeline:
             rng = np.random.default_rng(np.random.SeedSequence([seed, index, attempt]))
             start, goal = self._draw(rng)
             found = self.connect(start, goal, rng)
+            if isinstance(found, Trajectory):
+                found = self._stored(found, self.query(start, goal))
             if isinstance(found, Trajectory):
                 return self._episode(found, goal, index, attempt)
             nearest, reason = min(nearest, found.nearest), found.reason
@@ -132,11 +137,21 @@ class Pipeline:
         if isinstance(found, Plan):
             yield found.controls
 
+    def _stored(self, plan: Trajectory, query: Query) -> Trajectory | Failure:
+        """The plan with angles that end in (-pi, pi], proved again from its stored start."""
+        states = _continuous(self.space, plan.states)
+        if np.array_equal(states, plan.states):
+            return plan
+        again = replay_plan(replace(query, start=states[0]), plan.controls)
+        if isinstance(again, Trajectory) and len(again.states) == len(states):
+            close = np.abs(again.states - states).max() < SAME_STATES
+            return Trajectory(states if close else again.states, plan.controls)
+        return again
+
     def _episode(self, plan: Trajectory, goal: Goal, index: int, attempt: int) -> Episode:
         times = np.arange(len(plan.states)) * self.model.opt.timestep
-        states = _continuous(self.space, plan.states)
         return Episode(
-            states,
+            plan.states,
             plan.controls,
             times,
             goal.center,
@@ -157,11 +172,11 @@ def _regulated_steps(query: Query, controls: np.ndarray) -> np.ndarray:
     state = query.start
     for control in controls:
         state = advance(query.model, data, query.space, control)
-    more = []
-    for _ in range(DEEPER_STEPS):
+    stride, more = query.regulator.stride, []
+    for _ in range(num_steps(DEEPER_S, query.model) // stride):
         more.append(query.regulator.control(state))
-        state = advance(query.model, data, query.space, more[-1])
-    return np.stack(more)
+        state = advance(query.model, data, query.space, more[-1], stride)
+    return np.repeat(np.stack(more), stride, axis=0)
 
 
 def _continuous(space: StateSpace, states: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from planspace.physics.simulator import Simulator
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PolishConfig
+from planspace.plan.durations import num_steps
 from planspace.plan.polish_program import Change, Limits, LinearModel, solve_program
 from planspace.plan.polish_rollout import Candidate, Rollout
 from planspace.plan.trajectory import Trajectory
@@ -101,7 +102,8 @@ class Polish:
         """
         if len(controls) == 0:
             return None
-        stride = -(-len(controls) // self._config.max_blocks)
+        least = num_steps(self._config.step_s, self._simulator.model)
+        stride = max(least, -(-len(controls) // self._config.max_blocks))
         rollout = Rollout(self._simulator, self._clearance, self._state_cost, self._control_cost, stride)
         trust = Trust(1.0, self._config.max_iterations)
         best, trust = self._land(rollout, rollout.in_blocks(start, controls), trust)

@@ -49,8 +49,10 @@ def _holds(query: Query, data: mujoco.MjData, state: np.ndarray, rest: np.ndarra
     model, space, regulator, held = query.model, query.space, query.regulator, [state]
     for control in rest:
         held.append(advance(model, data, space, control))
-    for _ in range(regulator.config.hold_steps):
-        held.append(advance(model, data, space, regulator.control(held[-1])))
+    stride = regulator.stride
+    for _ in range(round(regulator.config.hold_s / (stride * model.opt.timestep))):
+        control = regulator.control(held[-1])
+        held += [advance(model, data, space, control) for _ in range(stride)]
     valid = not _has_warnings(data) and _all_valid(query.simulator, np.stack(held))
     return valid and bool(query.goal.reached(held[-1]))
 

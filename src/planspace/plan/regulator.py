@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.plan.config import RegulatorConfig
+from planspace.plan.durations import num_steps
 from planspace.tasks.problem import Goal
 
 DISCOUNTS = (1.0, 0.995)
@@ -40,7 +41,8 @@ class Regulator:
         self._space = space = simulator.space
         self._low, self._high = simulator.control_low, simulator.control_high
         self.hold_control = linearise.equilibrium_control(simulator, goal.center)
-        a, b = linearise.along(simulator, goal.center[None], self.hold_control[None])
+        self.stride = num_steps(config.step_s, simulator.model)
+        a, b = linearise.along(simulator, goal.center[None], self.hold_control[None], self.stride)
         effort = np.diag(config.control_cost / (0.5 * (self._high - self._low)) ** 2)
         cost = np.asarray(weights, dtype=float) ** 2
         cost[space.num_dofs :] *= config.velocity_cost
@@ -73,23 +75,26 @@ class Regulator:
         """Simulate the regulator from each state.
 
         Returns:
-            The controls that were applied; the number of steps until the goal region was entered or the
-            regulator gave up; and whether the goal region was entered with every state on the way allowed.
+            The controls that were applied, one per physics step; the number of these steps until the goal
+            region was entered or the regulator gave up; and whether the goal region was entered with every
+            state on the way allowed.
         """
         count = len(starts)
         ids = np.arange(count, dtype=np.int32)
         simulator.reset(starts, ids)
-        controls = np.zeros((count, self.config.max_steps, len(self._low)))
+        num = max(1, round(self.config.max_s / (self.stride * simulator.model.opt.timestep)))
+        controls = np.zeros((count, num, len(self._low)))
         steps = np.zeros(count, dtype=int)
         arrived = self.goal.reached(starts)
         moving = ~arrived
-        for step in range(self.config.max_steps):
+        for step in range(num):
             if not moving.any():
                 break
             running = ids[moving]
             controls[running, step] = self.control(simulator.states()[running])
-            simulator.step(controls[running, step], ids=running)
-            steps[running] = step + 1
+            simulator.step(controls[running, step], self.stride, ids=running)
+            steps[running] = (step + 1) * self.stride
             arrived[running] = self.goal.reached(simulator.states()[running])
             moving[running] = ~arrived[running] & simulator.allowed(count)[running]
-        return controls, steps, arrived & simulator.allowed(count) & ~simulator.diverged()[:count]
+        arrived = arrived & simulator.allowed(count) & ~simulator.diverged()[:count]
+        return np.repeat(controls, self.stride, axis=1), steps, arrived

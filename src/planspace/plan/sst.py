@@ -16,7 +16,6 @@ COUNTS = (
     "extensions",
     "min_rounds",
     "max_rounds",
-    "min_edge_steps",
     "shrink_every",
     "tail_every",
     "tail_candidates",
@@ -42,10 +41,10 @@ class SST:
     """Rounds before giving up."""
     seconds: float = 0.0
     """If positive, search and improve for this many seconds instead of counting rounds; not reproducible."""
-    min_edge_steps: int = 1
-    """Smallest number of physics steps for which an edge holds its control."""
-    max_edge_steps: int = 10
-    """Largest number of physics steps for which an edge holds its control."""
+    min_edge_s: float = 0.02
+    """Shortest time for which an edge holds its control [s]; at least one physics step."""
+    max_edge_s: float = 0.2
+    """Longest time for which an edge holds its control [s]."""
     goal_bias: float = 0.1
     """Fraction of extensions that aim at the goal."""
     bang_bang: float = 0.3
@@ -71,8 +70,8 @@ class SST:
         """
         for name in COUNTS:
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
-        least, most = self.min_edge_steps, self.max_edge_steps
-        check_setting("min_edge_steps", least, least <= most, f"at most max_edge_steps, which is {most}")
+        least, most = self.min_edge_s, self.max_edge_s
+        check_setting("min_edge_s", least, 0 < least <= most, f"above 0 and at most max_edge_s, {most}")
         for name in ("seconds", "selection_radius"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
         for name in ("goal_bias", "bang_bang"):

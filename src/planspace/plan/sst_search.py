@@ -21,9 +21,17 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.physics.simulator import Simulator
+from planspace.plan.durations import num_steps
 from planspace.plan.query import Query
 from planspace.plan.sst import SST
 from planspace.plan.tree import Tree
+
+CHECK_S = 0.01
+"""Time between two checks of the states along an edge [s]; at least one physics step."""
+LEAST_CELLS = 0.25
+"""Edges are lengthened if they cross less than this part of a witness cell, in the median."""
+MAX_STRETCH = 32.0
+"""Largest factor by which the duration of edges is multiplied."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,8 @@ class SSTSearch:
         self.problem, self.regulator, self.goal = query.problem, query.regulator, query.goal
         self.weights, self.simulator = query.weights, _large_enough(query.simulator, config)
         self.space = self.simulator.space
+        self.stride = num_steps(CHECK_S, self.simulator.model)
+        self.stretch = 1.0
 
     def solve(self) -> SearchResult:
         """Search until a solution has been found and `min_rounds` have passed.
@@ -82,9 +92,11 @@ class SSTSearch:
             if round_index and round_index % c.shrink_every == 0:
                 radius *= c.shrink
                 tree.shrink(c.shrink)
+            if tree.cells_per_edge < LEAST_CELLS and self.stretch < MAX_STRETCH:
+                self.stretch *= 2.0  # edges are too short: a heavy robot, or a velocity bound far too high
             parents = tree.select(self._targets(), radius)
             controls, durations = self._draw_edges()
-            ends, valid = self.simulator.propagate(tree.states[parents], controls, durations)
+            ends, valid = self.simulator.propagate(tree.states[parents], controls, durations, self.stride)
             steps += int(durations.sum())
             new.append(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
             if (round_index + 1) % c.tail_every == 0:
@@ -109,7 +121,9 @@ class SSTSearch:
         controls = self.rng.uniform(low, high, shape)
         extreme = self.rng.random((c.extensions, 1)) < c.bang_bang
         controls = np.where(extreme, np.where(self.rng.random(shape) < 0.5, low, high), controls)
-        return controls, self.rng.integers(c.min_edge_steps, c.max_edge_steps + 1, c.extensions)
+        unit = self.stride * self.simulator.model.opt.timestep
+        least, most = (max(1, round(self.stretch * s / unit)) for s in (c.min_edge_s, c.max_edge_s))
+        return controls, self.stride * self.rng.integers(least, most + 1, c.extensions)
 
 
 def _large_enough(simulator: Simulator, config: SST) -> Simulator:
@@ -132,8 +146,13 @@ class _Finish:
         self._node, self._tail = 0, np.empty((0, len(query.simulator.control_low)))
 
     def consider(self, new: np.ndarray) -> None:
-        """Run the regulator from the most promising of the new nodes."""
+        """Run the regulator from the most promising of the new nodes.
+
+        If the goal need not be held, a node in the goal region is a solution itself.
+        """
         query, tree = self.query, self.tree
+        if not query.problem.hold:
+            self._consider_nodes(new[query.goal.reached(tree.states[new])])
         if self.arrived:
             new = new[tree.costs[new] < self.cost]
         if len(new) == 0:
@@ -151,6 +170,12 @@ class _Finish:
             if cost < self.cost:
                 self.arrived, self.cost = True, float(cost)
                 self._node, self._tail = int(new[order[i]]), tail
+
+    def _consider_nodes(self, nodes: np.ndarray) -> None:
+        if len(nodes) and self.tree.costs[nodes].min() < self.cost:
+            self._node = int(nodes[self.tree.costs[nodes].argmin()])
+            self.arrived, self.cost = True, float(self.tree.costs[self._node])
+            self._tail = self._tail[:0]
 
     def controls(self) -> np.ndarray:
         """The controls along the path to the node and then of the regulator, one per physics step."""

@@ -38,6 +38,7 @@ class Tree:
         self.controls = np.zeros((1, len(simulator.control_low)))
         self._hash = np.random.default_rng(0).integers(1, 1 << 62, self.features.shape[1]) * 2 + 1
         self._sort_into_cells()
+        self.cells_per_edge = np.inf  # witness cells that the edges added last crossed, in the median
         self._indexed = 0
         self._old: cKDTree | None = None
 
@@ -59,6 +60,9 @@ class Tree:
         costs = self.costs[parents] + durations * self.problem.step_cost(self.simulator, controls)
         features = self.space.features(states, self.weights)
         keys = self._keys(features)
+        if len(parents):
+            moved = np.abs(features - self.features[parents]).max(axis=1)
+            self.cells_per_edge = float(np.median(moved)) / self.cell_size
         winners: dict[int, int] = {}
         for i in np.argsort(costs, kind="stable").tolist():
             cell = self._cells.get(keys[i])

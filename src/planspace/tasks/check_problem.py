@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.constraints import MAX_DEPTH, TOLERANCE, Constraints
 from planspace.physics.simulator import Simulator, control_bounds
 from planspace.physics.space import StateSpace
-from planspace.tasks.problem import Problem
+from planspace.tasks.problem import Goal, Problem
 
 
 def check_problem(problem: Problem, where: str) -> None:
@@ -29,6 +30,11 @@ def check_problem(problem: Problem, where: str) -> None:
         raise PlanspaceError(
             f"{where}: the model moves the joint {left_out[0]!r}, which is not in joints; add it, or take it "
             "out of the model."
+        )
+    if problem.kinematic and Constraints(model, space).has_equalities:
+        raise PlanspaceError(
+            f"{where}: the model has equalities, which a kinematic problem would ignore; remove them from "
+            "the model, or leave out kinematic."
         )
     _check_sizes(problem, space, where)
     _check_limits(model, space, where)
@@ -73,6 +79,21 @@ def _check_goal(problem: Problem, model: mujoco.MjModel, space: StateSpace, wher
                 f"{where}: goal: a box cannot span rotations; use goal_weights of 0 to leave directions free."
             )
     simulator = Simulator(model, space, 1, threads=1, validity=problem.validity)
-    center = problem.draw_goal(space, np.random.default_rng(0)).center
-    if not simulator.valid_states(center[None])[0]:
+    goal = problem.draw_goal(space, np.random.default_rng(0))
+    if not simulator.valid_states(goal.center[None])[0]:
         raise PlanspaceError(f"{where}: goal: it is in collision, or the predicate rejects it.")
+    _check_possible(goal, simulator.constraints, where)
+
+
+def _check_possible(goal: Goal, constraints: Constraints, where: str) -> None:
+    """Check that the model allows a state in the goal region."""
+    size, equality = constraints.violation(goal.center)
+    if size > TOLERANCE:
+        nearest = constraints.project(goal.center)
+        if nearest is None or not goal.reached(nearest):
+            raise PlanspaceError(
+                f"{where}: goal: the equality {equality!r} of the model does not hold there, by {size:.3g}, "
+                "and it holds nowhere in the goal region."
+            )
+    if (depth := constraints.depth(goal.center)) > MAX_DEPTH:
+        raise PlanspaceError(f"{where}: goal: bodies are inside one another by {depth:.3g} m.")

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import GeomPairs, load_model
 from planspace.mjcf.source import ModelSource, as_source, model_key
+from planspace.physics.constraints import MAX_DEPTH
 from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
@@ -163,18 +164,19 @@ class Problem:
         )
 
     def draw_start(self, simulator: Simulator, rng: np.random.Generator) -> Float[np.ndarray, " state"]:
-        """Draw a valid start.
+        """Draw a valid start; it is moved to where the model's equalities hold.
 
         Raises:
             PlanspaceError: no draw was valid.
         """
         for _ in range(START_DRAWS):
-            start = simulator.space.normalise(self.start.sample(rng))
-            if simulator.valid_states(start[None])[0]:
+            drawn = simulator.space.normalise(self.start.sample(rng))
+            if (start := _possible(simulator, drawn)) is not None:
                 return start
         raise PlanspaceError(
-            f"problem {self.name}: no valid start in {START_DRAWS} draws: each was in collision, out of "
-            "bounds, or rejected by the predicate."
+            f"problem {self.name}: no valid start in {START_DRAWS} draws: in each, bodies overlapped, an "
+            "equality of the model could not hold, or it was in collision, out of bounds, or rejected by the "
+            "predicate."
         )
 
     def draw_goal(
@@ -193,8 +195,9 @@ class Problem:
         weights = np.array(self.goal_weights) if self.goal_weights else np.ones(space.tangent_size)
         if self.goal_random:
             for _ in range(START_DRAWS):
-                center = space.normalise(self.goal.sample(rng))
-                if simulator is None or simulator.valid_states(center[None])[0]:
+                drawn = space.normalise(self.goal.sample(rng))
+                center = drawn if simulator is None else _possible(simulator, drawn)
+                if center is not None:
                     return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
             raise PlanspaceError(
                 f"problem {self.name}: no valid goal in {START_DRAWS} draws: each was in collision or "
@@ -219,6 +222,15 @@ class Problem:
         """SHA-256 of everything that defines the problem."""
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
         return json_hash(own | model_key(self.source))
+
+
+def _possible(simulator: Simulator, state: np.ndarray) -> np.ndarray | None:
+    """The state, moved to where the model's equalities hold; None if it is not valid there."""
+    constraints = simulator.constraints
+    found = constraints.project(state)
+    if found is None or not simulator.valid_states(found[None])[0] or constraints.depth(found) > MAX_DEPTH:
+        return None
+    return found
 
 
 def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from planspace.physics.angles import wrap
 from planspace.physics.replay import advance
 from planspace.physics.simulator import FREE, Simulator
 from planspace.physics.space import StateSpace
+from planspace.plan.durations import num_steps
 from planspace.plan.ompl.planners import OMPL
 from planspace.plan.planner import Failure, Plan
 from planspace.tasks.problem import Goal, Problem
@@ -138,7 +139,8 @@ class OMPLQuery:
         setup = control.SimpleSetup(controls)
         information = setup.getSpaceInformation()
         information.setPropagationStepSize(self.dt)
-        information.setMinMaxControlDuration(self.planner.min_edge_steps, self.planner.max_edge_steps)
+        edges = (self.planner.min_edge_s, self.planner.max_edge_s)
+        information.setMinMaxControlDuration(*(num_steps(seconds, simulator.model) for seconds in edges))
         model, data = simulator.model, mujoco.MjData(simulator.model)
 
         def propagate(before: Any, action: Any, duration: float, after: Any) -> None:

@@ -40,10 +40,10 @@ class OMPL:
     """SST's selection radius, in the weighted distance of neighbour search (2020: 0.002, unit weights)."""
     pruning_radius: float = 0.08
     """SST's pruning radius (2020: 0.0005)."""
-    min_edge_steps: int = 1
-    """Smallest number of physics steps for which an edge holds its control."""
-    max_edge_steps: int = 10
-    """Largest number of physics steps for which an edge holds its control."""
+    min_edge_s: float = 0.02
+    """Shortest time for which an edge holds its control [s]; at least one physics step."""
+    max_edge_s: float = 0.2
+    """Longest time for which an edge holds its control [s]."""
 
     @property
     def name(self) -> str:
@@ -62,9 +62,9 @@ class OMPL:
         check_setting("ompl_seconds", self.seconds, self.seconds > 0, "above 0")
         check_setting("ompl_iterations", self.iterations, self.iterations >= 0, "at least 0")
         check_setting("ompl_goal_bias", self.goal_bias, 0 <= self.goal_bias <= 1, "between 0 and 1")
-        least, most = self.min_edge_steps, self.max_edge_steps
-        wanted = f"at least 1 and at most ompl_max_edge_steps, which is {most}"
-        check_setting("ompl_min_edge_steps", least, 1 <= least <= most, wanted)
+        least, most = self.min_edge_s, self.max_edge_s
+        wanted = f"above 0 and at most ompl_max_edge_s, {most}"
+        check_setting("ompl_min_edge_s", least, 0 < least <= most, wanted)
 
     def plan(self, query: "Query", rng: np.random.Generator) -> Plan | Failure:
         """Search once, in a process that may crash."""
