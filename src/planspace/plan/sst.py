@@ -86,4 +86,5 @@ class SST:
         found = SSTSearch(self, query, rng).solve()
         if found.arrived:
             return Plan(found.controls)
-        return Failure("no path found within the budget", found.nearest, found.controls)
+        reason = f"no path found within the budget: {found.explanation}"
+        return Failure(reason, found.nearest, found.controls)

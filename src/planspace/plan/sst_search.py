@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.physics.simulator import Simulator
+from planspace.plan.diagnosis import explain_failure
 from planspace.plan.durations import num_steps
 from planspace.plan.query import Query
 from planspace.plan.sst import SST
@@ -50,6 +51,8 @@ class SearchResult:
     """Number of nodes in the tree."""
     simulated_steps: int
     """Physics steps taken to extend the tree and by the regulator."""
+    explanation: str = ""
+    """What the search saw, if it found no path."""
 
 
 class SSTSearch:
@@ -105,7 +108,14 @@ class SSTSearch:
         finish.consider(np.concatenate([np.empty(0, dtype=int), *new]))
         nearest = float(self.goal.distance(tree.states).min())
         steps += finish.simulated_steps
-        return SearchResult(finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps)
+        explanation = "" if finish.arrived else self._explain(tree, radius)
+        return SearchResult(
+            finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps, explanation
+        )
+
+    def _explain(self, tree: Tree, radius: float) -> str:
+        parents = tree.select(self._targets(), radius)
+        return explain_failure(self.simulator, tree, parents, *self._draw_edges())
 
     def _targets(self) -> Float[np.ndarray, "extension feature"]:
         c = self.config

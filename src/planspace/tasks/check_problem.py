@@ -95,5 +95,6 @@ def _check_possible(goal: Goal, constraints: Constraints, where: str) -> None:
                 f"{where}: goal: the equality {equality!r} of the model does not hold there, by {size:.3g}, "
                 "and it holds nowhere in the goal region."
             )
-    if (depth := constraints.depth(goal.center)) > MAX_DEPTH:
+    whole_pose = bool((goal.weights[: goal.space.num_dofs] > 0).all())  # else free joints may move away
+    if whole_pose and (depth := constraints.depth(goal.center)) > MAX_DEPTH:
         raise PlanspaceError(f"{where}: goal: bodies are inside one another by {depth:.3g} m.")
