@@ -61,8 +61,8 @@ def test_the_depth_of_overlapping_bodies() -> None:
       <body pos="0 0 0.1"><joint name="z" type="slide" axis="0 0 1"/><geom size="0.1"/></body>
       </worldbody></mujoco>"""
     floor = constraints_of(text, ("z",))
-    assert floor.depth(np.array([-0.03, 0.0])) == pytest.approx(0.03)
-    assert floor.depth(np.array([0.5, 0.0])) == 0.0
+    assert floor.overlap(np.array([-0.03, 0.0])) == (pytest.approx(0.03), ("world", "body1"))
+    assert floor.overlap(np.array([0.5, 0.0])) == (0.0, ())
 
 
 def test_sparse_models_give_the_same_projection() -> None:

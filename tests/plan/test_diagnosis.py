@@ -15,7 +15,8 @@ from planspace.tasks.problem import Box, Problem
 
 SLED = """<mujoco><option timestep="0.02" gravity="0 0 0"/><worldbody>
   <geom name="wall" type="box" size="0.1 1 1" pos="0.5 0 0"/>
-  <body><joint name="x" type="slide" axis="1 0 0" range="-{range} 2"/><geom name="sled" size="0.1" mass="1"/></body>
+  <body><joint name="x" type="slide" axis="1 0 0" range="-{range} 2"/>
+    <geom name="sled" size="0.1" mass="1"/></body>
 </worldbody><actuator><motor joint="x" ctrlrange="{least} 5"/></actuator></mujoco>"""
 
 

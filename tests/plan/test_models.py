@@ -155,7 +155,9 @@ def test_a_body_inside_the_floor_is_refused(tmp_path: Path) -> None:
       </worldbody><actuator><motor joint="z" ctrlrange="-50 50"/></actuator></mujoco>""")
     text = "model: m.xml\njoints: [z]\nstart: {low: [-1, 0], high: [1, 0]}\ngoal: [%s, 0]\ntolerance: 0.1\n"
     (tmp_path / "p.yaml").write_text(text % -0.5)
-    with pytest.raises(PlanspaceError, match="goal: bodies are inside one another by 0.1 m"):
+    with pytest.raises(
+        PlanspaceError, match="goal: the bodies 'world' and 'body1' are inside one another by 0.1"
+    ):
         load_problem(tmp_path / "p.yaml")
     (tmp_path / "p.yaml").write_text(text % 0.2)
     problem = load_problem(tmp_path / "p.yaml")

@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
+from planspace.demos.framing import Frame, has_plane, light_from_camera
 from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.progress import progress
@@ -38,7 +39,8 @@ class FilmConfig:
     height: int = 360
     """Height of a frame [pixels]."""
     camera: str = ""
-    """Name of a camera. By default the first camera of the model, or a free camera if the model has none."""
+    """Name of a camera. By default the first camera of the model; without any, one that sees the whole
+    motion."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -67,7 +69,8 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
     model, space = demos.info.compile()
     poses = [_poses(demos.episode(i), config.fps) for i in range(min(config.episodes, len(demos)))]
     states = space.normalise(np.concatenate(poses))
-    with _camera(model, config) as shoot, progress("render", len(states), unit="frame") as bar:
+    frame = Frame.of_motion(model, space, states)
+    with _camera(model, config, frame) as shoot, progress("render", len(states), unit="frame") as bar:
 
         def frames() -> Iterator[Image]:
             data = mujoco.MjData(model)
@@ -103,13 +106,15 @@ def _poses(episode: Episode, fps: int) -> Float[np.ndarray, "picture state"]:
 
 
 @contextmanager
-def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[mujoco.MjData], Image]]:
+def _camera(
+    model: mujoco.MjModel, config: FilmConfig, frame: Frame
+) -> Iterator[Callable[[mujoco.MjData], Image]]:
     """Open a camera and yield a function that takes a picture of the model.
 
     `mujoco.Renderer` uses the backend that MUJOCO_GL named when MuJoCo was first imported. This function
     makes the same calls with a backend that works, so it can be chosen later.
     """
-    view = _view(model, config.camera)
+    view = _view(model, config, frame)
     backend = rendering_backend()
     if backend is None:
         raise PlanspaceError(
@@ -120,12 +125,16 @@ def _camera(model: mujoco.MjModel, config: FilmConfig) -> Iterator[Callable[[muj
     gl.make_current()
     context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-    scene = mujoco.MjvScene(model, maxgeom=10_000)
+    scene, needs_floor = mujoco.MjvScene(model, maxgeom=10_000), not has_plane(model)
+    if not model.ncam:  # nobody chose how this model looks
+        light_from_camera(model)
     whole = mujoco.MjrRect(0, 0, config.width, config.height)
 
     def shoot(data: mujoco.MjData) -> Image:
         options, everything = mujoco.MjvOption(), mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(model, data, options, None, view, everything, scene)
+        if needs_floor:
+            frame.add_floor(scene)
         mujoco.mjr_render(whole, scene, context)
         picture = np.empty((config.height, config.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(picture, None, whole, context)
@@ -144,8 +153,8 @@ def _context_class(backend: str) -> Any:
     return importlib.import_module(f"mujoco.{name}").GLContext if name in BACKENDS else mujoco.GLContext
 
 
-def _view(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
-    view = mujoco.MjvCamera()
+def _view(model: mujoco.MjModel, config: FilmConfig, frame: Frame) -> mujoco.MjvCamera:
+    name = config.camera
     names = [model.camera(i).name for i in range(model.ncam)]
     if name and name not in names:
         raise (
@@ -153,11 +162,11 @@ def _view(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
             if names
             else UsageError("the model has no camera; leave out --camera.")
         )
-    if names:
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        view.fixedcamid = names.index(name) if name else 0
-    else:
-        mujoco.mjv_defaultFreeCamera(model, view)
+    if not names:
+        return frame.camera(model, config.width / config.height)
+    view = mujoco.MjvCamera()
+    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    view.fixedcamid = names.index(name) if name else 0
     return view
 
 

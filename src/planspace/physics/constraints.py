@@ -26,6 +26,15 @@ class Violation(NamedTuple):
     """Its name, or its kind and number."""
 
 
+class Overlap(NamedTuple):
+    """The two bodies that overlap most in a state."""
+
+    depth: float
+    """How deep they are inside one another [m]; 0 if no bodies touch."""
+    bodies: tuple[str, ...]
+    """Their names."""
+
+
 class Constraints:
     """What a model requires of the positions and velocities of a state."""
 
@@ -72,10 +81,15 @@ class Constraints:
             projected = space.integrate(projected, step)
         return None
 
-    def depth(self, state: Float[np.ndarray, " state"]) -> float:
-        """Return the largest depth by which two bodies overlap in a state [m]; 0 if none touch."""
+    def overlap(self, state: Float[np.ndarray, " state"]) -> Overlap:
+        """Return the largest depth by which two bodies overlap in a state."""
         self._forward(state)
-        return float(max(0.0, *(-contact.dist for contact in self._data.contact), 0.0))
+        depths = [-contact.dist for contact in self._data.contact]
+        if not depths or max(depths) <= 0:
+            return Overlap(0.0, ())
+        geoms = self._data.contact[int(np.argmax(depths))].geom
+        bodies = [self._model.body(self._model.geom_bodyid[geom]).name for geom in geoms]
+        return Overlap(float(max(depths)), tuple(bodies))
 
     def _equalities(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Violation of each row of the equalities, and its change per change of each degree of freedom."""

@@ -96,5 +96,7 @@ def _check_possible(goal: Goal, constraints: Constraints, where: str) -> None:
                 "and it holds nowhere in the goal region."
             )
     whole_pose = bool((goal.weights[: goal.space.num_dofs] > 0).all())  # else free joints may move away
-    if whole_pose and (depth := constraints.depth(goal.center)) > MAX_DEPTH:
-        raise PlanspaceError(f"{where}: goal: bodies are inside one another by {depth:.3g} m.")
+    depth, bodies = constraints.overlap(goal.center)
+    if whole_pose and depth > MAX_DEPTH:
+        names = " and ".join(map(repr, bodies))
+        raise PlanspaceError(f"{where}: goal: the bodies {names} are inside one another by {depth:.3g} m.")

@@ -228,7 +228,11 @@ def _possible(simulator: Simulator, state: np.ndarray) -> np.ndarray | None:
     """The state, moved to where the model's equalities hold; None if it is not valid there."""
     constraints = simulator.constraints
     found = constraints.project(state)
-    if found is None or not simulator.valid_states(found[None])[0] or constraints.depth(found) > MAX_DEPTH:
+    if (
+        found is None
+        or not simulator.valid_states(found[None])[0]
+        or constraints.overlap(found).depth > MAX_DEPTH
+    ):
         return None
     return found
 
