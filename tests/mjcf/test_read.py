@@ -8,7 +8,7 @@ import pytest
 
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.compile import load_model
-from planspace.mjcf.read import read_model
+from planspace.mjcf.read import read_keyframe, read_model
 from planspace.mjcf.same_model import different_fields
 
 TWO_JOINTS = """<mujoco><worldbody>
@@ -181,6 +181,21 @@ def test_held_joints_keep_the_pose_of_a_keyframe(moving: tuple[str, ...], tmp_pa
     np.testing.assert_allclose(b.xpos, a.xpos, atol=1e-12)
     np.testing.assert_allclose(b.xmat, a.xmat, atol=1e-12)
     np.testing.assert_allclose(b.geom_xpos, a.geom_xpos, atol=1e-12)
+
+
+def test_the_state_of_a_keyframe(tmp_path: Path) -> None:
+    source = read_model(write(tmp_path, GRIPPER), ("wrist", "ball"), keyframe="home")
+    found = read_keyframe(source, ("ball", "wrist"), "home")
+    assert found == ([0.5, 0.5, 0.5, 0.5, -0.2], [0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(UsageError, match="unknown keyframe 'hom'. Did you mean 'home'"):
+        read_keyframe(source, ("wrist",), "hom")
+
+
+def test_replicated_joints_have_names(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><replicate count="2" offset="1 0 0"><body name="p"><joint name="h"/>
+      <geom size="0.1"/></body></replicate></worldbody></mujoco>"""
+    model = load_model(read_model(write(tmp_path, text), ("h0",)))
+    assert [model.joint(i).name for i in range(model.njnt)] == ["h0"]
 
 
 def test_what_cannot_be_held_is_refused(tmp_path: Path) -> None:

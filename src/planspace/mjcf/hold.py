@@ -97,6 +97,14 @@ def joint_positions(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, tuple[
     }
 
 
+def joint_velocities(model: mujoco.MjModel, qvel: np.ndarray) -> dict[str, tuple[float, ...]]:
+    """Return the velocity of every joint in qvel."""
+    ends = [*model.jnt_dofadr[1:].tolist(), model.nv]
+    return {
+        model.joint(i).name: tuple(qvel[model.jnt_dofadr[i] : ends[i]].tolist()) for i in range(model.njnt)
+    }
+
+
 def _move_body(
     spec: mujoco.MjSpec, body: Any, joint: Any, position: np.ndarray, reference: tuple[float, ...]
 ) -> None:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from planspace.errors import PlanspaceError, UsageError, quoted, unknown
 from planspace.mjcf.compile import MUJOCO_ERRORS, compiling, leave_out_pictures, open_spec
-from planspace.mjcf.hold import joint_positions, reference_positions
+from planspace.mjcf.hold import joint_positions, joint_velocities, reference_positions
 from planspace.mjcf.model_check import MAX_ASSET_BYTES
 from planspace.mjcf.references import referred_files
 from planspace.mjcf.same_model import different_fields
@@ -60,6 +61,31 @@ def read_model(
     if not positions:
         return source
     return _held(path, source, positions)
+
+
+def read_keyframe(
+    source: ModelSource, joints: Sequence[str], keyframe: str
+) -> tuple[list[float], list[float]]:
+    """Read the positions and velocities of joints in a keyframe of a model.
+
+    Raises:
+        UsageError: the model has no such keyframe.
+    """
+    with open_spec(replace(source, held=())) as spec:
+        model = spec.compile()
+    key = _find_keyframe(model, keyframe)
+    positions, velocities = (
+        joint_positions(model, model.key_qpos[key]),
+        joint_velocities(model, model.key_qvel[key]),
+    )
+    return [x for name in joints for x in positions[name]], [v for name in joints for v in velocities[name]]
+
+
+def _find_keyframe(model: mujoco.MjModel, name: str) -> int:
+    names = [model.key(i).name for i in range(model.nkey)]
+    if name not in names:
+        raise unknown("keyframe", name, names)
+    return names.index(name)
 
 
 def read_text(path: Path) -> str:
@@ -113,10 +139,7 @@ def _held_positions(
         if name not in pose:
             raise unknown("joint", name, pose)
     if keyframe:
-        keys = [model.key(i).name for i in range(model.nkey)]
-        if keyframe not in keys:
-            raise unknown("keyframe", keyframe, keys)
-        pose = joint_positions(model, model.key_qpos[keys.index(keyframe)])
+        pose = joint_positions(model, model.key_qpos[_find_keyframe(model, keyframe)])
     left_out = [name for name in pose if joints is not None and name not in joints]
     if hold != "all":
         free = [n for n in left_out if model.joint(n).type[0] == mujoco.mjtJoint.mjJNT_FREE and n not in hold]

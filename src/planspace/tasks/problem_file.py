@@ -1,7 +1,7 @@
 """Problem files in YAML, and the shipped problems; the layout of the 2020 planner is read too."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.compile import load_model
-from planspace.mjcf.read import read_model
+from planspace.mjcf.read import read_keyframe, read_model
 from planspace.mjcf.source import ModelSource
 from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND
@@ -94,6 +94,7 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
         hold=values.read(settings, "held", values.held, ()),
         keyframe=values.read(settings, "keyframe", values.text, ""),
     )
+    settings = _with_keyframes(settings, model, joints)
     goal, goal_random = values.read(settings, "goal", values.goal)
     return Problem(
         name=path.stem,
@@ -116,6 +117,17 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
         planner=values.read(settings, "planner", values.text, "sst"),
         settings=values.read(settings, "settings", values.settings, ()),
     )
+
+
+def _with_keyframes(settings: dict[str, Any], model: ModelSource, joints: Sequence[str]) -> dict[str, Any]:
+    """Replace a start or goal `{keyframe: NAME}` by the state of that keyframe."""
+    found = dict(settings)
+    for key in ("start", "goal"):
+        if isinstance(value := settings.get(key), dict) and list(value) == ["keyframe"]:
+            name = values.read(value, "keyframe", values.text)
+            positions, velocities = read_keyframe(model, joints, name)
+            found[key] = positions if settings.get("kinematic") is True else positions + velocities
+    return found
 
 
 def _from_2020(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem:
