@@ -213,7 +213,7 @@ def test_unknown_geoms_and_actuators_with_a_state_are_rejected() -> None:
     with pytest.raises(UsageError, match="unknown geom or body 'bal'. Did you mean 'ball'"):
         load_model(BALL_AND_WALLS, (("bal", "left"),))
     model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="filter" dynprm="0.1"'))
-    with pytest.raises(UsageError, match="actuators with activations"):
+    with pytest.raises(UsageError, match="the actuator 0 has an activation"):
         Simulator(model, StateSpace.from_model(model, ["x"]), 1)
 
 

@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch
 
-from planspace.errors import UsageError
 from planspace.mjcf.compile import GeomPairs, stepping
 from planspace.physics.constraints import Constraints
 from planspace.physics.space import StateSpace
+from planspace.physics.supported import check_supported
 
 _WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -75,13 +75,10 @@ class Simulator:
             validity: conditions that make an edge invalid besides leaving the bounds.
 
         Raises:
-            UsageError: the model has actuators with an internal state (muscles, filters).
+            UsageError: the model has a hidden state; see `check_supported`.
         """
-        if model.na and not space.kinematic:
-            raise UsageError(
-                "the model has actuators with activations (muscles or filters); planspace supports only "
-                "actuators without an internal state."
-            )
+        if not space.kinematic:
+            check_supported(model)
         self.model, self.space, self.num, self.validity = model, space, num, validity
         self.threads = threads
         with stepping():

@@ -7,6 +7,7 @@ from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.constraints import MAX_DEPTH, TOLERANCE, Constraints
 from planspace.physics.simulator import Simulator, control_bounds
 from planspace.physics.space import StateSpace
+from planspace.physics.supported import check_supported
 from planspace.tasks.problem import Goal, Problem
 
 
@@ -23,6 +24,10 @@ def check_problem(problem: Problem, where: str) -> None:
     try:
         model, space = problem.compile()
     except PlanspaceError as error:
+        raise UsageError(f"{where}: {error}") from error
+    try:
+        check_supported(model)
+    except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
     moving = [model.joint(i).name for i in range(model.njnt)]
     left_out = [name for name in moving if name not in problem.joints]
