@@ -45,4 +45,4 @@ def test_failed_units_are_listed_even_without_results(
     monkeypatch.setattr(run, "run_study", lambda study, out, workers: {study.arms[0].units[0].name: "lost"})
     assert main(["study", "paper", "--only", "cartpole, TRPO/raw", "--out", str(tmp_path)]) == 3
     error = capsys.readouterr().err
-    assert "1 units failed" in error and "(cartpole, TRPO/raw): lost." in error
+    assert "1 unit failed" in error and "(cartpole, TRPO/raw): lost." in error

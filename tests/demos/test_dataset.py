@@ -33,7 +33,10 @@ def test_the_split_is_seeded_and_complete(demos: Demos) -> None:
     assert [len(part) for part in split.values()] == [10, 1, 1]
     assert all((a == b).all() for a, b in zip(split.values(), demos.split(0).values(), strict=True))
     assert any((a != b).any() for a, b in zip(split.values(), demos.split(1).values(), strict=True))
-    with pytest.raises(PlanspaceError, match="2 demonstrations cannot be split in three"):
+    with pytest.raises(
+        PlanspaceError,
+        match="a split into training, validation and test needs at least 3 demonstrations, got 2",
+    ):
         Demos.from_episodes(INFO, [episode(0), episode(1)]).split(0)
 
 

@@ -83,8 +83,10 @@ def test_the_command_plays_and_films(
     assert main(["play", str(folder), "--seed", "7"]) == 2
     assert "has seeds 0 to 1, not 7" in capsys.readouterr().err
     assert main(["play", str(folder), "--seed", "worst"]) == 2
-    assert main(["play", str(tmp_path)]) == 1
-    assert "holds no policies" in capsys.readouterr().err
+    capsys.readouterr()
+    for arm in ([], ["--arm", "raw"]):
+        assert main(["play", str(tmp_path), *arm]) == 1
+        assert "holds no policies" in capsys.readouterr().err
 
 
 def test_loading_needs_neither_jax_nor_mujoco(tmp_path: Path) -> None:

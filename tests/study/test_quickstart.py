@@ -112,7 +112,9 @@ def test_report_is_self_contained_and_escapes_names(tmp_path: Path) -> None:
 
 
 def test_rebuild_rejects_a_folder_of_another_kind(tmp_path: Path) -> None:
-    with pytest.raises(PlanspaceError, match="cannot read"):
+    with pytest.raises(PlanspaceError, match="none does not exist; give the folder of a run"):
+        rebuild(tmp_path / "none")
+    with pytest.raises(PlanspaceError, match="is not the folder of a `planspace run`"):
         rebuild(tmp_path)
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(PlanspaceError, match="is not the folder of a `planspace run`"):

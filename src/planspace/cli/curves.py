@@ -19,7 +19,9 @@ class Curves:
 
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for curves.png and curves.svg."""
-    runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]] = ()
+    runs: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="RUN ...", help_behavior_hint="(required)")]
+    ] = ()
     """Folders made by `planspace train`."""
     title: str = ""
     """Title of the figure."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
-from planspace.cli.tables import print_values
+from planspace.cli.tables import counted, print_values
 
 DemosFolder = Positional[Annotated[Path, arg(metavar="DEMOS", help="A dataset folder.")]]
 Untrusted = Annotated[
@@ -110,7 +110,7 @@ class Import:
     source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]]
     """The demonstrations, for example FILE.npz with `states`, `controls`, `time` and `offsets`, FILE.csv with
     one demonstration or a column `episode`, or minari:ID. Several files, or a folder of files, make one
-    dataset. Without a source, all formats are listed."""
+    dataset. The error for a missing source lists all formats."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The dataset folder to make."""
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
@@ -143,7 +143,7 @@ class Import:
         options = ImportOptions(states, controls, self.dt, self.as_recorded)
         problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
         folder = import_demos(self.source, self.out, state_info(problem) if problem else None, options)
-        print(f"{folder.num_episodes} demonstrations in {self.out}")
+        print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
 
 
 @dataclass(frozen=True)

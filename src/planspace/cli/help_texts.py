@@ -28,7 +28,7 @@ def set_help_texts(kind: Any, default: Any = None) -> None:
     for field in fields(kind):
         value = getattr(default, field.name, field.default)
         if field.name in texts:
-            negation = " This option turns that off." if value is True else ""  # the option is --no-NAME
+            negation = " This is the default; the option turns it off." if value is True else ""  # --no-NAME
             field.metadata = {**field.metadata, HELP: texts[field.name] + negation}  # pyright: ignore
         set_help_texts(type(value) if is_dataclass(value) else field.type, value)
 

@@ -19,6 +19,7 @@ from planspace.cli.config_files import (
     named_in_file,
     with_settings,
 )
+from planspace.cli.tables import counted
 from planspace.errors import UsageError
 from planspace.mjcf.assets import ASSETS
 from planspace.plan.config import PlanConfig, find_planner
@@ -105,7 +106,7 @@ class Plan:
         folder = plan_into(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )
-        print(f"{folder.num_episodes} demonstrations in {self.out}")
+        print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
 
 
 def _named_problem(arguments: Sequence[str]) -> str | None:

@@ -7,6 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from planspace.cli.config_files import check_least, load_or_name
+from planspace.cli.tables import counted
 from planspace.errors import UsageError
 
 
@@ -45,7 +46,7 @@ class Play:
         policy = load_policy(self._chosen_run(), "best" if self.seed == "best" else int(self.seed))
         task = find_task(load_or_name(self.task)) if self.task else None
         returns, demos = play(policy, self.episodes, self.start_seed, task)
-        print(f"seed {policy.seed}, {len(returns)} episodes of {policy.about['task']}")
+        print(f"seed {policy.seed}, {counted(len(returns), 'episode')} of {policy.about['task']}")
         print(f"return: mean {returns.mean():.1f}, worst {returns.min():.1f}, best {returns.max():.1f}")
         if self.video is not None:
             render_demos(demos, self.video, FilmConfig())
@@ -62,6 +63,6 @@ class Play:
         runs = find_runs(self.run)
         if self.arm and self.arm in runs:
             return runs[self.arm]
-        if self.arm or len(runs) > 1:
+        if len(runs) > 1 or (self.arm and runs):
             raise UsageError(f"which arm? Give --arm with one of {', '.join(runs)}.")
         return next(iter(runs.values()), self.run)

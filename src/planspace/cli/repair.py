@@ -16,8 +16,8 @@ class Repair:
     """Find damaged files and set them aside, so that the command that made a folder can go on."""
 
     folder: Positional[Annotated[Path, arg(metavar="DIR")]]
-    """Folder of a dataset, an embedding, a training, a run or studies. Nothing is removed: a damaged file is
-    renamed to damaged-1-NAME. A dataset keeps the shards before the first damaged one."""
+    """Folder of a dataset, an embedding, a training run, a `planspace run` or studies. Nothing is removed: a
+    damaged file is renamed to damaged-1-NAME. A dataset keeps the shards before the first damaged one."""
 
     def __call__(self) -> None:
         """Print what was damaged."""
@@ -31,7 +31,7 @@ def repair(folder: Path) -> list[str]:
     """Repair a folder of planspace and the folders in it.
 
     Args:
-        folder: a dataset, an embedding, a training, a run or studies.
+        folder: a dataset, an embedding, a training run, a `planspace run` or studies.
 
     Returns:
         One line for each damage that was found.

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from planspace.cli.tables import counted
 from planspace.errors import PartialResult, UsageError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ class Study:
     ] = 0
     """Policies per arm, a multiple of 5. A larger number adds seeds; finished seeds are not run again."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
-    """Run only arms whose name (figure/arm) contains this text, such as 'swingup, TRPO'. May be repeated. The
+    """Run only arms whose name (figure/arm) contains this text, such as 'swingup, TRPO'. The
     report shows every arm that has results; with --report it shows only these arms."""
     ray: Annotated[str, arg(metavar="HOST:PORT", help_behavior_hint="(default: this machine)")] = ""
     """A Ray cluster to run the units on (extra `ray`). Results are stored on this machine. --workers limits
@@ -67,7 +68,7 @@ class Study:
             summary, page = write_report(findings, self.out)
             print(f"{as_text(summary)}\n\nreport           {page}")
         if failed:
-            raise PartialResult(f"{len(failed)} units failed; the other results are saved.{text}")
+            raise PartialResult(f"{counted(len(failed), 'unit')} failed; the other results are saved.{text}")
 
     def _run(self, study: "StudyDesign") -> dict[str, str]:
         from planspace.study.run import run_study

@@ -7,6 +7,11 @@ from typing import Any
 from planspace.errors import printable
 
 
+def counted(num: int, noun: str) -> str:
+    """Return a number with its noun, in the singular or the plural: `1 unit`, `2 units`."""
+    return f"{num} {noun}" if num == 1 else f"{num} {noun}s"
+
+
 def print_json(values: Mapping[str, Any]) -> None:
     """Print values as JSON."""
     print(json.dumps(values, indent=2))

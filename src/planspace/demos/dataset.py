@@ -181,7 +181,9 @@ def split(count: int, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
         PlanspaceError: there are fewer than 3 demonstrations.
     """
     if count < 3:
-        raise PlanspaceError(f"{count} demonstrations cannot be split in three; at least 3 are needed.")
+        raise PlanspaceError(
+            f"a split into training, validation and test needs at least 3 demonstrations, got {count}."
+        )
     held_out = max(1, round(SPLIT_FRACTIONS["validation"] * count))
     order = np.random.default_rng(np.random.SeedSequence([seed, count])).permutation(count)
     parts = np.split(order, [count - 2 * held_out, count - held_out])

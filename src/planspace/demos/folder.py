@@ -62,7 +62,10 @@ class DemoFolder:
             saved, plain = upgrade(found.settings), json.loads(json.dumps(settings))
             if saved != plain:
                 changed = "; ".join(list_differences(saved, plain))
-                raise PlanspaceError(f"{path} contains demonstrations made with other settings: {changed}.")
+                raise PlanspaceError(
+                    f"{path} contains demonstrations made with other settings: {changed}. "
+                    "Choose another --out, or give the same settings to continue it."
+                )
             self._manifest = replace(found, info=info, settings=settings)
 
     @property

@@ -34,16 +34,16 @@ class FitConfig:
     columns: Annotated[tuple[str, ...], arg(help_behavior_hint="(default: all)")] = ()
     """Names of the states that the encoder reads."""
     z_dim: int = 3
-    """Numbers in z; the paper has 3 and 10."""
+    """Number of dimensions of z; the paper has 3 and 10."""
     inputs: InputType = "trig"
     """`raw`: numbers as they are. `standard`: standardised, for plans in which windings matter. `trig`: sin
     and cos of angles on a circle, then standardised."""
     hidden: tuple[int, ...] = PAPER_HIDDEN
     """Units of the hidden layers of encoder and decoder."""
     spacings: Annotated[tuple[int, ...], arg(help_behavior_hint="(default: any three states)")] = ()
-    """Steps between the members of a triplet of states of a demonstration."""
+    """Steps between neighbouring states of a triplet."""
     short_fraction: float = 0.5
-    """Without `spacings`: the fraction of triplets with a log-uniform, so mostly short, length; the others
+    """Without `spacings`: the fraction of triplets whose length is log-uniform, so mostly short; the others
     span most of a demonstration. Lower values give straighter plans; higher values give a z that helps
     policies more."""
     sigma_floor: float = 0.2

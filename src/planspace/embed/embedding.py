@@ -66,12 +66,12 @@ class Embedding:
 
     @property
     def z_dim(self) -> int:
-        """Numbers in z."""
+        """Number of dimensions of z."""
         return len(self.encoder[1][-1]) // 2
 
     @property
     def state_dim(self) -> int:
-        """Numbers in a state."""
+        """Number of values in a state."""
         return len(self.inputs.names)
 
     def _mean(self, x: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch z"]:
@@ -208,7 +208,7 @@ class Embedding:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of inputs and weights; `about` does not matter."""
+        """SHA-256 of inputs and weights, without `about`."""
         digest = hashlib.sha256(
             repr(
                 (self.inputs.names, self.inputs.circular_columns, self.inputs.form, self.sigma_floor)

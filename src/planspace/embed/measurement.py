@@ -51,7 +51,7 @@ class Checks:
 
     change_by_a_turn: float | None = None
     """Largest distance by which z moves if an angle on a circle changes by 2 pi, in standard deviations of z;
-    0 is right."""
+    the ideal is 0."""
     outside_support: float | None = None
     """Fraction of the states that lie outside the region that the training demonstrations cover."""
     true_time_correlation: float | None = None
@@ -146,7 +146,7 @@ def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
     """Return the splits of the training if these are its demonstrations; otherwise one split, `all`.
 
     Raises:
-        PlanspaceError: they are, but the embedding does not assign each of them to exactly one split.
+        PlanspaceError: the embedding does not assign each demonstration of its training to exactly one split.
     """
     about = embedding.about
     if about is None or about.settings.demos != demos.hash:

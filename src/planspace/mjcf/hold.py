@@ -59,7 +59,7 @@ def _remove_tendons(spec: mujoco.MjSpec, held: Positions) -> set[tuple[Any, str]
     for tendon in list(spec.tendons):
         joints = {wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT}
         if joints & held.keys():
-            _check_coupling(f"the tendon {tendon.name!r}", joints, held)
+            _check_coupling(f"the tendon {tendon.name!r}" if tendon.name else "a tendon", joints, held)
             removed.add((mujoco.mjtObj.mjOBJ_TENDON, tendon.name))
             spec.delete(tendon)
     return removed
@@ -70,7 +70,7 @@ def _remove_equalities(spec: mujoco.MjSpec, held: Positions, tendons: set[str]) 
     for equality in list(spec.equalities):
         ends = {name for name in (equality.name1, equality.name2) if name}
         if equality.type == mujoco.mjtEq.mjEQ_JOINT and ends & held.keys():
-            _check_coupling(f"the equality {equality.name!r}", ends, held)
+            _check_coupling(f"the equality {equality.name!r}" if equality.name else "an equality", ends, held)
             spec.delete(equality)
         elif equality.type == mujoco.mjtEq.mjEQ_TENDON and ends & tendons:
             spec.delete(equality)

@@ -131,9 +131,10 @@ def rebuild(out: Path) -> RunSummary:
     Raises:
         PlanspaceError: the folder is not a run, its `config.json` is incomplete, or `run` fails.
     """
-    config = read_json(out / CONFIG)
+    config = read_json(out / CONFIG) if (out / CONFIG).exists() else {}
     if config.get("command") != "run":
-        raise PlanspaceError(f"{out} is not the folder of a `planspace run`.")
+        what = "is not the folder of a `planspace run`" if out.exists() else "does not exist"
+        raise PlanspaceError(f"{out} {what}; give the folder of a run, such as runs/cartpole-swingup-small.")
     kinds = {"task": str, "budget": str, "seed": int}
     if missing := [name for name, kind in kinds.items() if type(config.get(name)) is not kind]:
         raise PlanspaceError(

@@ -31,8 +31,8 @@ EARLY_FRACTION = 0.25
 NUM_BEST = 2
 """The best case is the mean over this many seeds: the paper's figures show the best and the second best."""
 VISIBLE_RATIO = {15: 1.73, 30: 1.45, 50: 1.33, 75: 1.26, 100: 1.22}
-"""By the number of seeds: the smallest ratio of the standard deviations of two normal samples that is
-significant at 95 % (two-sided)."""
+"""The smallest ratio of the standard deviations of two normal samples that is significant at 95 %
+(two-sided), by the number of seeds."""
 
 Interval = tuple[float, float]
 
