@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from planspace.errors import PlanspaceError
+from planspace.cli import main
+from planspace.errors import PartialResult, PlanspaceError
 from planspace.storage.json_files import read_sealed, write_sealed
 from planspace.study import quickstart as module
 from planspace.study.quickstart import BUDGETS, rebuild, run
@@ -18,8 +19,11 @@ from planspace.study.run_summary import (
     as_json,
     as_text,
 )
+from planspace.tasks.problem_file import load_problem
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
+from ..tasks.test_problem_task import CRANE, RANDOM
+from ..tasks.test_problem_task import write as write_crane
 
 TINY = replace(
     BUDGETS["smoke"],
@@ -30,6 +34,9 @@ TINY = replace(
     seeds=2,
     steps=8000,
 )
+
+STILL = RANDOM.replace("-0.1, 0, 0], high: [1, 0.1", "0, 0, 0], high: [1, 0")
+"""Random goals in which the load can hang at rest."""
 
 
 @pytest.fixture
@@ -90,6 +97,52 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
     summary = run(task, "smoke", tmp_path / "run", 0)
     assert len(summary.arms) == (2 if task == "reacher-trig" else 3)
     assert (tmp_path / "run" / "report.html").stat().st_size > 1e6
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize("base", [CRANE, STILL], ids=["one goal", "random goals"])
+def test_a_problem_file_runs_like_a_shipped_task(
+    base: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file, out = write_crane(tmp_path, base), Path("runs/crane-smoke")
+    assert main(["run", file.name, "--budget", "smoke"]) == 0
+    shown = capsys.readouterr().out
+    assert "crane, budget smoke, seed 0" in shown and "raw + sin/cos + z" in shown
+    file.write_text(file.read_text() + "task: {horizon_s: 2}\n")
+    assert main(["run", file.name, "--budget", "smoke"]) == 1
+    assert "was made with other settings: task_sha256 was" in capsys.readouterr().err
+    for path in tmp_path.glob("crane.*"):
+        path.unlink()  # the run holds its task
+    assert main(["play", str(out), "--arm", "trig-z", "--episodes", "2"]) == 0
+    assert "2 episodes of crane" in capsys.readouterr().out
+    assert main(["report", str(out)]) == 0
+    assert "crane, budget smoke, seed 0" in capsys.readouterr().out
+    stored = out / "train" / "raw" / "task" / "crane.yaml"
+    stored.write_text(stored.read_text().replace("bonus: 1.0", "bonus: 2.0"))
+    assert main(["play", str(out), "--arm", "raw"]) == 2
+    assert "was trained on another version of the task 'crane'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("tiny")
+def test_a_run_goes_on_without_plans_that_were_not_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = module.plan_into
+
+    def with_failures(*args: Any, **options: Any) -> None:
+        plan(*args, **options)
+        raise PartialResult("1 of 12 plans was not found.")
+
+    monkeypatch.setattr(module, "plan_into", with_failures)
+    assert main(["run", "cartpole", "--budget", "smoke", "--out", str(tmp_path / "run")]) == 3
+    shown = capsys.readouterr()
+    assert "return of TRPO" in shown.out and "1 of 12 plans was not found." in shown.err
+    monkeypatch.setattr(module, "load_demos", lambda path: load_problem("nothing"))
+    with pytest.raises(PartialResult, match="1 of 12 plans"):
+        run("cartpole", "smoke", tmp_path / "run", 0)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from planspace.tasks.catalog import TASKS
 def one_episode(task_name: str, states: np.ndarray) -> Demos:
     task = TASKS[task_name]
     model, space = task.compile()
-    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source)
+    info = StateInfo.of_model(model, space, problem=task.problem_name, joints=task.joints, source=task.source)
     times = 0.04 * np.arange(len(states))
     controls = np.zeros((len(states) - 1, model.nu))
     return Demos.from_episodes(

@@ -22,8 +22,8 @@ class Play:
     """The folder of a `planspace train`, or of a `planspace run` with policies of several arms."""
     arm: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = ""
     """Which arm of a `planspace run` to play; without it the arms are listed."""
-    task: Annotated[str, arg(metavar="module.py:NAME", help_behavior_hint="(default: the shipped one)")] = ""
-    """Your own Task, if the policy was trained on one."""
+    task: Annotated[str, arg(metavar="TASK", help_behavior_hint="(default: that of the run)")] = ""
+    """module.py:NAME, if the policy was trained on your own Task. A run on a problem file holds its task."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
     """The seed to play. best: the seed with the highest return in the last evaluation."""
     episodes: Annotated[int, arg(metavar="N")] = 10

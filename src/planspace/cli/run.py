@@ -8,16 +8,16 @@ from tyro.conf import Positional, arg
 
 from planspace.cli.config_files import check_least
 from planspace.errors import PartialResult
-from planspace.tasks.catalog import TASKS
+from planspace.tasks.catalog import TASKS, is_problem_file
+
+TASK_HELP = f"One of {', '.join(sorted(TASKS))}; or FILE.yaml, your own problem file."
 
 
 @dataclass(frozen=True)
 class Run:
     """Plan, embed, train and report in one command."""
 
-    task: Positional[Annotated[str, arg(metavar="TASK", help=f"One of {', '.join(sorted(TASKS))}.")]] = (
-        "cartpole-swingup"
-    )
+    task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP)]] = "cartpole-swingup"
     budget: Literal["smoke", "small", "full"] = "small"
     """smoke: half a minute, to see that it works. small: five minutes, a first result. full: 300
     demonstrations and 15 policies of 2 M steps for each arm."""
@@ -34,9 +34,11 @@ class Run:
 
         check_least(self, seed=0)
         use_compilation_cache()
-        out = self.out or Path("runs") / f"{self.task}-{self.budget}"
+        name = Path(self.task).stem if is_problem_file(self.task) else self.task
+        out = self.out or Path("runs") / f"{name}-{self.budget}"
         summary = run(self.task, self.budget, out, self.seed)
         print(as_text(summary))
         print(f"\nreport           {out / 'report.html'}")
-        if summary.diverged:
-            raise PartialResult(f"training diverged: {'; '.join(summary.diverged)}.")
+        diverged = f"training diverged: {'; '.join(summary.diverged)}." if summary.diverged else ""
+        if problems := " ".join(filter(None, (summary.unsolved, diverged))):
+            raise PartialResult(problems)

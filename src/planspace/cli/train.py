@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 RECORDED = ("task", "task_sha256", "embeddings", "versions", "preset")
 """What a run's config.json records besides settings."""
-TASK_HELP = f"One of {', '.join(sorted(TASKS))}; or module.py:NAME for your own Task."
+TASK_HELP = (
+    f"One of {', '.join(sorted(TASKS))}; FILE.yaml, your own problem file; or module.py:NAME, your own Task."
+)
 
 
 @dataclass(frozen=True)

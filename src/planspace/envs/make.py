@@ -17,7 +17,7 @@ from planspace.tasks.task import Task
 
 @overload
 def make_env(
-    task: str | Task,
+    task: str | Path | Task,
     num_envs: None = None,
     *,
     embedding: str | Path | Embedding | None = None,
@@ -26,7 +26,7 @@ def make_env(
 ) -> gymnasium.Env[Any, Any]: ...
 @overload
 def make_env(
-    task: str | Task,
+    task: str | Path | Task,
     num_envs: int,
     *,
     embedding: str | Path | Embedding | None = None,
@@ -34,7 +34,7 @@ def make_env(
     **arguments: Any,
 ) -> VectorEnv[Any, Any, Any]: ...
 def make_env(
-    task: str | Task,
+    task: str | Path | Task,
     num_envs: int | None = None,
     *,
     obs: str = "raw",
@@ -47,7 +47,7 @@ def make_env(
     """Make the environment of a task, as `gymnasium.make` would, with or without an embedding.
 
     Args:
-        task: the name of a task, or a task of your own.
+        task: the name of a task, the path of a problem file (`.yaml`), or a task of your own.
         num_envs: number of environments in one vector environment; None makes a single environment.
         obs: `raw`, `wrapped` (angles of unlimited hinges within (-pi, pi]) or `trig` (raw, sine and cosine).
         reward: `dense`, `sparse` (1 at the goal, 0 elsewhere) or `2020` (if the task has it).

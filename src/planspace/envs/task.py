@@ -1,6 +1,7 @@
 """A task as a Gymnasium environment, such as `planspace/CartPoleSwingUp-v0`."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -52,7 +53,7 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
 
     def __init__(
         self,
-        task: str | Task,
+        task: str | Path | Task,
         obs: str = "raw",
         reward: str = "dense",
         render_mode: str | None = None,
@@ -71,7 +72,7 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
             UsageError: an argument has another value, or a task does not fit its model.
         """
         gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
-        self.task = find_task(task) if isinstance(task, str) else task
+        self.task = find_task(task) if isinstance(task, str | Path) else task
         self.obs = find_observation_type(obs)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
         self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_type(reward, self.task))

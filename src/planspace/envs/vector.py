@@ -1,5 +1,6 @@
 """Many environments of a task as one Gymnasium vector environment, in one batch of simulations."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -42,7 +43,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
 
     def __init__(  # noqa: PLR0913  Gymnasium passes them one by one
         self,
-        task: str | Task,
+        task: str | Path | Task,
         num_envs: int = 1,
         obs: str = "raw",
         reward: str = "dense",

@@ -11,6 +11,7 @@ from planspace.envs import make as envs
 from planspace.errors import UsageError
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
+from planspace.tasks.stored_task import stored_task
 from planspace.tasks.task import Task
 
 
@@ -19,7 +20,7 @@ def make_env(policy: Policy, task: Task | None = None) -> gymnasium.Env:
 
     Args:
         policy: the policy.
-        task: its task, if planspace does not ship it.
+        task: its task, if planspace does not ship it and the run does not hold it.
 
     Raises:
         UsageError: the policy belongs to another task, or its task is not shipped and was not given.
@@ -39,6 +40,7 @@ def _task_of(policy: Policy, task: Task | None) -> Task:
     name, known = policy.about["task"], policy.about.get("task_sha256")
     if task is None and known is None:
         return find_task(name)
+    task = stored_task(policy.run) if task is None else task
     if task is None:
         raise UsageError(
             f"{policy.run} was trained on {name!r}, a task of your own: pass the task (`--task "
@@ -61,7 +63,7 @@ def play(
         policy: the policy.
         num: number of episodes.
         seed: seed of the first episode's start; the others follow it.
-        task: its task, if planspace does not ship it.
+        task: its task, if planspace does not ship it and the run does not hold it.
 
     Returns:
         The return of each episode, and the episodes.
@@ -70,7 +72,8 @@ def play(
         PlanspaceError: an action is not finite.
         UsageError: as `make_env`.
     """
-    env, task = make_env(policy, task), _task_of(policy, task)
+    task = _task_of(policy, task)
+    env = make_env(policy, task)
     model, space = task.compile()
     step = task.frame_skip * model.opt.timestep
     returns, episodes = np.zeros(num), []
@@ -89,5 +92,5 @@ def play(
         episodes.append(
             Episode(np.stack(states), np.stack(actions).astype(float), times, goal, False, i, seed + i)
         )
-    info = StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source)
+    info = StateInfo.of_model(model, space, problem=task.problem_name, joints=task.joints, source=task.source)
     return returns, Demos.from_episodes(info, episodes)

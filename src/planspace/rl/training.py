@@ -42,6 +42,7 @@ from planspace.storage.rows import append_rows
 from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import TrackerName, open_trackers
 from planspace.tasks.catalog import find_task
+from planspace.tasks.stored_task import save_task
 from planspace.tasks.task import Task, find_reward_type
 from planspace.workers import count_cores
 
@@ -81,7 +82,7 @@ class _Training:
 
 
 def train_policies(
-    task: str | Task,
+    task: str | Path | Task,
     config: TrainConfig | None = None,
     *,
     algorithm: Algorithm | str | None = None,
@@ -96,7 +97,7 @@ def train_policies(
     does not depend on the other seeds.
 
     Args:
-        task: a task, or the name of a shipped one.
+        task: a task, the name of a shipped one, or the path of a problem file (`.yaml`).
         config: settings; by default 5 seeds of TRPO.
         algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
             replaces that of `config`.
@@ -122,6 +123,7 @@ def train_policies(
     run = temporary.path if temporary else Path(str(out))
     with lock_folder(run):
         open_run(run, _settings(task, config, given))
+        save_task(task, run)
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:

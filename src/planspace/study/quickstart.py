@@ -5,13 +5,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import planspace
+from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import fit_embedding
-from planspace.errors import PlanspaceError, unknown
+from planspace.errors import PartialResult, PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.rl.config import TrainConfig
+from planspace.rl.export import is_shipped
 from planspace.rl.history import frozen_seeds
 from planspace.rl.training import train_policies
 from planspace.storage.checks import CONFIG
@@ -20,7 +22,10 @@ from planspace.storage.runs import lock_folder, open_run
 from planspace.study.quickstart_report import write_report
 from planspace.study.run_summary import ArmReturns, DemosSummary, GeometrySummary, RunSummary, as_json
 from planspace.tasks.catalog import find_task
+from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
+from planspace.tasks.stored_task import save_task, stored_task
+from planspace.tasks.task import Task
 
 BudgetName = Literal["smoke", "small", "full"]
 
@@ -71,11 +76,11 @@ BUDGETS: dict[str, Budget] = {
 }
 
 
-def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
+def run(given: str | Path | Task, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
     """Plan, embed, train and report. Finished stages are kept, and an interrupted stage is resumed.
 
     Args:
-        task_name: a task's command-line name.
+        given: a task's command-line name, the path of a problem file, or a task with a planning problem.
         budget_name: a key of `BUDGETS`.
         out: the run's folder.
         seed: the seed of every stage.
@@ -86,23 +91,23 @@ def run(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSum
     Raises:
         PlanspaceError: a stage failed. Earlier work is saved.
     """
-    find_task(task_name)  # refuses an unknown name before anything is written
+    task = find_task(given)  # refuses an unknown name before anything is written
     if budget_name not in BUDGETS:
         raise unknown("budget", budget_name, BUDGETS)
     with lock_folder(out):
-        open_run(out, _config(task_name, budget_name, BUDGETS[budget_name], seed))
-        return _run_stages(task_name, budget_name, out, seed)
+        open_run(out, _config(task, budget_name, BUDGETS[budget_name], seed))
+        save_task(task, out)
+        return _run_stages(task, budget_name, out, seed)
 
 
-def _run_stages(task_name: str, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
-    task, budget = find_task(task_name), BUDGETS[budget_name]
+def _run_stages(task: Task, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
+    budget = BUDGETS[budget_name]
     problem = load_problem(task.problem)
-    plan_into(problem, out / "demos", num=budget.demos, seed=seed, config=budget.planner)
-    demos = load_demos(out / "demos")
+    demos, unsolved = _plan(problem, out / "demos", budget, seed)
     embedding = fit_embedding(
         demos, config=budget.fit, out=out / "embedding", num_seeds=budget.embedding_seeds, seed=seed
     )
-    arms = _arms(task_name, budget, seed)
+    arms = _arms(task, budget, seed)
     histories = {
         label: train_policies(
             task, config, embedding=embedding if config.z != "none" else None, out=out / "train" / folder
@@ -111,7 +116,7 @@ def _run_stages(task_name: str, budget_name: BudgetName, out: Path, seed: int) -
     }
     diverged = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]
     summary = RunSummary(
-        task=task_name,
+        task=task.name,
         budget=budget_name,
         seed=seed,
         version=planspace.__version__,
@@ -119,10 +124,23 @@ def _run_stages(task_name: str, budget_name: BudgetName, out: Path, seed: int) -
         geometry=GeometrySummary.of(embedding.require_about()),
         arms={label: ArmReturns.of(history) for label, history in histories.items()},
         diverged=tuple(f"{label}: {text}" for label, text in diverged if text),
+        unsolved=unsolved,
     )
     write_json(out / "summary.json", as_json(summary))
     write_report(out, summary, demos, embedding, histories)
     return summary
+
+
+def _plan(problem: Problem, out: Path, budget: Budget, seed: int) -> tuple[Demos, str]:
+    """The demonstrations, and the message about those that were not found; a run goes on without them."""
+    try:
+        plan_into(problem, out, num=budget.demos, seed=seed, config=budget.planner)
+    except PartialResult as partial:
+        try:
+            return load_demos(out), str(partial)
+        except PlanspaceError:  # none was found
+            raise partial from None
+    return load_demos(out), ""
 
 
 def rebuild(out: Path) -> RunSummary:
@@ -141,14 +159,17 @@ def rebuild(out: Path) -> RunSummary:
             f"{out / CONFIG} has no valid {missing[0]}; restore the file from a copy, or run again with "
             "another --out."
         )
-    return run(config["task"], config["budget"], out, config["seed"])
+    task = stored_task(out) if "task_sha256" in config else None
+    return run(task or config["task"], config["budget"], out, config["seed"])
 
 
-def _config(task_name: str, budget_name: str, budget: Budget, seed: int) -> dict[str, Any]:
+def _config(task: Task, budget_name: str, budget: Budget, seed: int) -> dict[str, Any]:
     """The content of `config.json`."""
+    content = {} if is_shipped(task) else {"task_sha256": task.hash}
     return {
         "command": "run",
-        "task": task_name,
+        "task": task.name,
+        **content,
         "budget": budget_name,
         "seed": seed,
         "settings": asdict(budget),
@@ -156,11 +177,11 @@ def _config(task_name: str, budget_name: str, budget: Budget, seed: int) -> dict
     }
 
 
-def _arms(task_name: str, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
+def _arms(task: Task, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
     """Label, folder and settings of each arm. Tasks that observe sin and cos already have no `trig` arm."""
     base = TrainConfig(num_seeds=budget.seeds, seed=seed, steps=budget.steps)
     raw = ("raw", "raw", base)
-    if not find_task(task_name).sin_cos_columns:
+    if not task.sin_cos_columns:
         return [raw, ("raw + z", "raw-z", replace(base, z="augment"))]
     return [
         raw,

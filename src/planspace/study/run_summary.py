@@ -115,6 +115,8 @@ class RunSummary:
     """Final returns by the arm's label."""
     diverged: tuple[str, ...]
     """One text per arm with seeds that diverged."""
+    unsolved: str = ""
+    """The message about demonstrations that were not found; empty if all were."""
 
 
 def as_json(summary: RunSummary) -> dict[str, Any]:

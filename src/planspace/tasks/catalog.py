@@ -2,6 +2,7 @@
 
 import importlib
 import pkgutil
+from pathlib import Path
 
 from planspace.errors import UsageError, quoted, unknown
 from planspace.tasks import shipped
@@ -30,16 +31,30 @@ def add_task(task: Task) -> None:
     TASKS[task.name] = task
 
 
-def find_task(task: str | Task) -> Task:
-    """Return the task with this name, or the task itself.
+def find_task(task: str | Path | Task) -> Task:
+    """Return the task with this name, the task of a problem file, or the task itself.
+
+    Args:
+        task: a name in `TASKS`, the path of a problem file (`.yaml`), or a task.
 
     Raises:
         UsageError: no task has this name (the nearest one is suggested), or it is neither name nor task.
+        PlanspaceError: the problem file or its model cannot be read.
     """
     if isinstance(task, Task):
         return task
-    if not isinstance(task, str):
+    if not isinstance(task, str | Path):
         raise UsageError(f"expected a task or its name, got {quoted(task)}. See {PAGE}.")
-    if task not in TASKS:
-        raise unknown("task", task, TASKS)
-    return TASKS[task]
+    if is_problem_file(task):
+        from planspace.tasks.problem_file import load_problem
+        from planspace.tasks.problem_task import task_of_problem
+
+        return task_of_problem(load_problem(task))
+    if str(task) not in TASKS:
+        raise unknown("task", str(task), TASKS)
+    return TASKS[str(task)]
+
+
+def is_problem_file(task: str | Path) -> bool:
+    """Whether a task is given as the path of a problem file."""
+    return str(task).endswith((".yaml", ".yml"))

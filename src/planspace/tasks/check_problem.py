@@ -44,6 +44,11 @@ def check_problem(problem: Problem, where: str) -> None:
     _check_sizes(problem, space, where)
     _check_limits(model, space, where)
     _check_goal(problem, model, space, where)
+    try:
+        problem.task.check(space.names, space.num_dofs, space.tangent_size)
+        problem.task.horizon(model.opt.timestep)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from error
 
 
 def _check_sizes(problem: Problem, space: StateSpace, where: str) -> None:

@@ -1,7 +1,7 @@
 """Planning problems: a model, where plans start and end, which states are allowed, and what a plan costs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import mujoco
@@ -15,6 +15,7 @@ from planspace.physics.constraints import MAX_DEPTH
 from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
+from planspace.tasks.task_settings import TaskSettings
 
 IDLE_COST = 0.1
 """With the cost `effort`, a second at rest costs this fraction of one at full control, so that plans end."""
@@ -101,6 +102,8 @@ class Problem:
     """The name of the planner that suits the problem."""
     settings: tuple[tuple[str, Any], ...] = ()
     """Settings of the planner that differ from its defaults."""
+    task: TaskSettings = field(default_factory=TaskSettings)
+    """What makes it a reinforcement learning task, too. Plans do not depend on it."""
 
     def __repr__(self) -> str:
         """Return the name, the joints and the planner."""
@@ -219,8 +222,9 @@ class Problem:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of everything that defines the problem."""
-        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
+        """SHA-256 of everything that plans depend on."""
+        left_out = ("model", "task")
+        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in left_out}
         return json_hash(own | model_key(self.source))
 
 

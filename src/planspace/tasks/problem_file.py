@@ -19,6 +19,8 @@ from planspace.tasks import problem_values as values
 from planspace.tasks.check_problem import check_problem
 from planspace.tasks.problem import Box, Problem
 from planspace.tasks.strict_yaml import read_yaml
+from planspace.tasks.task_settings import TaskSettings
+from planspace.tasks.task_values import task_settings
 
 ReadModel = Callable[..., ModelSource]
 """`read_model`, or its twin in a subprocess."""
@@ -116,6 +118,7 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
         cost=values.read(settings, "cost", values.cost, "duration"),
         planner=values.read(settings, "planner", values.text, "sst"),
         settings=values.read(settings, "settings", values.settings, ()),
+        task=values.read(settings, "task", task_settings, TaskSettings()),
     )
 
 

@@ -44,6 +44,8 @@ def function_settings(value: Any, depth: int = 0) -> Any:
 def _callable_settings(value: Any, depth: int) -> Any:
     """Describe a function, a method with its object, or an object of a class."""
     down = functools.partial(function_settings, depth=depth + 1)
+    if isinstance(value, MethodType) and hasattr(value.__self__, "hash_content"):  # it has its own version
+        return {"method": value.__name__, "of": value.__self__.hash_content()}
     value = (
         inspect.unwrap(value) if isinstance(value, FunctionType) else value
     )  # its source has the decorators

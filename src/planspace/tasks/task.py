@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.errors import UsageError, quoted
+from planspace.mjcf.source import ModelSource
 from planspace.physics.angles import wrap
 from planspace.tasks.observation_types import ObservationType, RewardType, find_name
 from planspace.tasks.source_hash import function_settings
@@ -28,8 +29,8 @@ from planspace.tasks.source_hash import function_settings
 if TYPE_CHECKING:  # importing planspace registers its tasks, and must not import MuJoCo
     import mujoco
 
-    from planspace.mjcf.source import ModelSource
     from planspace.physics.space import StateSpace
+    from planspace.tasks.problem import Problem
 
 PAGE = "docs/howto/own-task.md"
 """The how-to page that messages point to."""
@@ -62,8 +63,8 @@ class Task:
 
     name: str
     """Its name on the command line: letters, digits, `-`, `_` and `.`."""
-    model: str | Path
-    """The MJCF text, or the path of an MJCF file."""
+    model: str | Path | ModelSource
+    """The MJCF text, the path of an MJCF file, or the files of a model."""
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
     start_low: Sequence[float | int]
@@ -95,8 +96,9 @@ class Task:
     """The reward of the 2020 code, if it had mistakes that `reward` does not have."""
     env_id: str = ""
     """Its Gymnasium id, such as `planspace/CartPole-v0`."""
-    problem: str | Path = ""
-    """The planning problem whose plans suit the task: a shipped name or the path of a problem file."""
+    problem: "str | Path | Problem" = ""
+    """The planning problem whose plans suit the task: a shipped name, the path of a problem file, or a
+    problem, whose bounds of controls then hold in the task, too."""
     embedding_problem: str | Path = ""
     """The planning problem whose plans train the task's embeddings in studies, if it is not `problem`."""
     return_range: tuple[float, float] | None = None
@@ -128,14 +130,14 @@ class Task:
     # --- the model --------------------------------------------------------------------------------------
 
     @cached_property
-    def source(self) -> "ModelSource":
+    def source(self) -> ModelSource:
         """The files of the model.
 
         Raises:
             PlanspaceError: a file cannot be read.
         """
-        from planspace.mjcf.source import ModelSource
-
+        if isinstance(self.model, ModelSource):
+            return self.model
         if isinstance(self.model, str) and "<" in self.model:
             return ModelSource(self.model)
         from planspace.mjcf.read import read_model
@@ -157,16 +159,27 @@ class Task:
         from planspace.mjcf.compile import load_model
         from planspace.physics.space import StateSpace
 
+        if not isinstance(self.problem, str | Path):
+            if self.problem.joints != self.joints or self.problem.source != self.source:
+                raise misfit(self, "problem", "has another model or other joints than the task")
+            return self.problem.compile()
         model = load_model(self.source)
         return model, StateSpace.from_model(model, self.joints)
+
+    @property
+    def problem_name(self) -> str:
+        """The name or the path of its planning problem; empty if it has none."""
+        return str(self.problem) if isinstance(self.problem, str | Path) else self.problem.name
 
     @property
     def hash(self) -> str:
         """SHA-256 of everything that defines the task: model, numbers and the source of its functions."""
         from planspace.storage.json_files import json_hash
 
-        settings = {f.name: function_settings(getattr(self, f.name)) for f in fields(self)}
+        names = [f.name for f in fields(self) if f.name not in ("model", "problem")]
+        settings = {name: function_settings(getattr(self, name)) for name in names}
         source = self.source
+        settings["problem"] = self.problem_name
         return json_hash({**settings, "model": source.text if source.is_text else source.plain()})
 
     # --- starts, observations and rewards ---------------------------------------------------------------
@@ -282,6 +295,8 @@ def check_fields(task: Task) -> None:
         value = getattr(task, name)
         if not callable(value) and not (value is None and name in ("draw_targets", "reward_2020")):
             raise misfit(task, name, f"must be a function, got {quoted(value)}")
+    if not isinstance(task.problem, str | Path) and not hasattr(task.problem, "compile"):
+        raise misfit(task, "problem", f"must be a name, a path or a Problem, got {quoted(task.problem)}")
 
 
 def misfit(task: Task, field: str, problem: str) -> UsageError:

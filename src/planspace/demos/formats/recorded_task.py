@@ -109,7 +109,9 @@ def recorded_task(metadata: Mapping[str, Any], dataset_id: str) -> RecordedTask 
         )
     return RecordedTask(
         task=task,
-        info=StateInfo.of_model(model, space, problem=task.problem, joints=task.joints, source=task.source),
+        info=StateInfo.of_model(
+            model, space, problem=task.problem_name, joints=task.joints, source=task.source
+        ),
         step=float(task.frame_skip * model.opt.timestep),
         obs_names=() if wrappers else tuple(task.fields(form)),
         notices=tuple(notices),
