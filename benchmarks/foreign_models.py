@@ -7,8 +7,9 @@
 Every problem is planned for seeds 0 to 4 at default settings; a setting in a problem is shown in the table.
 Each demonstration is replayed in the model that MuJoCo compiles from the user's own file, or, where joints
 are held, in the model that the dataset holds.
+
 The results are added to results/planning/foreign_models.csv problem by problem. A problem that the file
-has is not planned for again.
+has is not planned for again. `--table` prints the table of docs/planning.md.
 """
 
 import argparse
@@ -48,12 +49,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("models", type=Path, help="folder of the unpacked wheels")
+    parser.add_argument("models", type=Path, nargs="?", help="folder of the unpacked wheels")
+    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
     parser.add_argument("--only", default="", help="plan only for problems whose name contains this")
     parser.add_argument("--seeds", type=int, default=NUM_SEEDS, help="number of plans per problem")
     parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file of the results")
     options = parser.parse_args()
     rows = list(csv.DictReader(options.out.open())) if options.out.exists() else []
+    if options.table:
+        print(table(rows))
+        return
+    if options.models is None:
+        parser.error("give the folder of the unpacked wheels")
     for name, problem in PROBLEMS.items():
         if options.only in name and name not in {row["problem"] for row in rows}:
             row = measure(name, problem, options.models, options.seeds)
@@ -63,6 +70,20 @@ def main() -> None:
                 writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
                 writer.writeheader()
                 writer.writerows(rows)
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """The results as a Markdown table, in the order of the problems."""
+    known = {row["problem"]: row for row in rows}
+    lines = [
+        "| problem | goal | settings | solved | seconds per plan | median duration [s] | replay error |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name in (name for name in PROBLEMS if name in known):
+        row = known[name]
+        values = [row[key] for key in ("distance", "settings", "solved", *COLUMNS[-3:])]
+        lines.append(f"| {' | '.join([name, *values])} |")
+    return "\n".join(lines)
 
 
 def measure(name: str, problem: Foreign, models: Path, num: int) -> dict[str, str]:

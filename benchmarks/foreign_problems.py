@@ -235,7 +235,7 @@ PROBLEMS = {
         f"{ROBOTS}/baxter/robot.xml",
         "right_s0 right_s1 right_e0 right_e1 right_w0 right_w1 right_w2",
         (0.4, -0.5, 0.0, 1.0, 0.0, 0.7, 0.0),
-        (0.9, 0.4, 0.4, 0.6, 0.4, -0.4, 0.6),
+        (-0.9, 0.4, 0.4, 0.6, 0.4, -0.4, 0.6),
         held="all",
     ),
 }

@@ -3,6 +3,7 @@
 Timings cannot be computed again; next to them the docs name the command that measures them.
 """
 
+import csv
 import json
 import re
 import sys
@@ -310,6 +311,19 @@ def test_table_of_candidates() -> None:
         assert of_docs[:9] == cells[:9], cells[0]
         ends = [[float(x) for x in re.findall(r"[-+]\d+", row[9])] for row in (cells, of_docs)]
         np.testing.assert_allclose(*ends, atol=BOOTSTRAP_NOISE, err_msg=cells[0])
+
+
+def test_table_of_models_that_others_wrote() -> None:
+    with open(RESULTS / "planning" / "foreign_models.csv") as file:
+        known = {row["problem"]: row for row in csv.DictReader(file)}
+    section = sections("docs/planning.md", 3)["Models that others wrote"]
+    rows = [row for row in table_rows(section) if row[0] != "problem"]
+    assert {row[0] for row in rows} == known.keys() and len(rows) >= 25
+    for name, _, settings, solved, seconds, duration, error in rows:
+        wanted = [
+            known[name][k] for k in ("settings", "solved", "seconds_per_plan", "duration_s", "replay_error")
+        ]
+        assert [settings, solved, seconds, duration, error] == wanted, name
 
 
 def test_results_are_small_tables_and_the_figures_that_the_docs_show() -> None:

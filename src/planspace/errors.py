@@ -86,5 +86,5 @@ def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:
 
 def did_you_mean(name: str, known: list[str]) -> str:
     """Return ` Did you mean ...?` with the most similar known name; empty if none is similar."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.55)
     return f" Did you mean {near[0]!r}?" if near else ""
