@@ -210,7 +210,7 @@ def test_a_task_with_code_is_not_written(tmp_path: Path) -> None:
         ("task: {horizon_s: 0.01}", "horizon_s must be at least one control step (0.04 s), got 0.01"),
         ("task: {observation: trigg}", "observation: unknown observation .*Did you mean 'trig'"),
         ("task: {reward: spars}", "reward: unknown reward .*Did you mean 'sparse'"),
-        ("task: {reward: {efort: 1}}", "reward: unknown key of reward 'efort'. Did you mean 'effort'"),
+        ("task: {reward: {effor: 1}}", "reward: unknown key of reward 'effor'. Did you mean 'effort'"),
         ("task: {reward: {effort: -1}}", "reward: effort: weights must not be negative"),
         ("task: {reward: {distance: [1]}}", "distance must have 2 numbers, one for each degree of freedom"),
         ("task: {termination: {contact: true}}", "unknown key of termination 'contact'. Did you mean"),

@@ -137,7 +137,7 @@ def _held_positions(
     pose = reference_positions(model)
     for name in (*(joints or ()), *(() if hold == "all" else hold)):
         if name not in pose:
-            raise unknown("joint", name, pose)
+            raise UsageError(f"{path}: {unknown('joint', name, pose)}")
     if keyframe:
         pose = joint_positions(model, model.key_qpos[_find_keyframe(model, keyframe)])
     left_out = [name for name in pose if joints is not None and name not in joints]

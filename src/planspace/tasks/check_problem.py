@@ -109,4 +109,7 @@ def _check_possible(goal: Goal, constraints: Constraints, where: str) -> None:
     depth, bodies = constraints.overlap(goal.center)
     if whole_pose and depth > MAX_DEPTH:
         names = " and ".join(map(repr, bodies))
-        raise PlanspaceError(f"{where}: goal: the bodies {names} are inside one another by {depth:.3g} m.")
+        raise PlanspaceError(
+            f"{where}: goal: the bodies {names} are inside one another by {depth:.3g} m. Move the goal, or let "
+            "these geoms not collide (contype and conaffinity)."
+        )

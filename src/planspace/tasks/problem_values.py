@@ -50,8 +50,10 @@ def _sides(value: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]
         if key not in ("low", "high"):
             raise ValueError(str(unknown("key of a box", str(key), ["low", "high"])))
     low, high = numbers(value["low"]), numbers(value["high"])
-    if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"a box needs low <= high, number by number; got {short(value)}")
+    if len(low) != len(high):
+        raise ValueError(f"low has {len(low)} numbers and high has {len(high)}; they must have as many.")
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        raise ValueError(f"a box needs low <= high, number by number; got {short(value)}.")
     return low, high
 
 
