@@ -110,6 +110,6 @@ def _check_possible(goal: Goal, constraints: Constraints, where: str) -> None:
     if whole_pose and depth > MAX_DEPTH:
         names = " and ".join(map(repr, bodies))
         raise PlanspaceError(
-            f"{where}: goal: the bodies {names} are inside one another by {depth:.3g} m. Move the goal, or let "
-            "these geoms not collide (contype and conaffinity)."
+            f"{where}: goal: the bodies {names} are inside one another by {depth:.3g} m. Move the goal, or "
+            "let these geoms not collide (contype and conaffinity)."
         )
