@@ -1,12 +1,14 @@
 """A problem file is a task: its reward, goal, observations, ends, hash, and what is refused."""
 
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+import yaml
 
 import planspace as ps
 from planspace.envs.vector import TaskVectorEnv
@@ -16,6 +18,8 @@ from planspace.tasks.check_task import check_task
 from planspace.tasks.problem_file import load_problem, shipped_problems
 from planspace.tasks.problem_task import task_of_problem
 from planspace.tasks.stored_task import problem_yaml, save_task, stored_task
+from planspace.tasks.task_settings import TaskSettings, Termination
+from planspace.tasks.task_values import task_settings
 
 CRANE_XML = """
 <mujoco model="crane">
@@ -126,6 +130,15 @@ def test_random_goals_are_valid_targets_of_an_episode(tmp_path: Path, rng: np.ra
     assert rewarded(task, row(0, 0, 0, 0), target=row(0.5, 0.1, 0, 0)) == pytest.approx(-0.6)
 
 
+def test_starts_are_valid_and_drawn_for_each_episode_by_itself(tmp_path: Path) -> None:
+    base = CRANE.replace("-1.0, -0.5, -0.1", "-1.0, 0.0, -0.1").replace("high: [1.0, 0.5", "high: [1.9, 0.0")
+    task = crane(tmp_path, "forbidden_contacts: [[load, post]]\n", base)
+    starts, _ = task.sample_starts(100, np.random.default_rng(0))
+    assert ((starts[:, 0] < 1.4) | (starts[:, 0] > 1.6)).all() and starts[:, 0].max() > 1.6
+    first, _ = task.sample_starts(1, np.random.default_rng(0))
+    np.testing.assert_array_equal(first[0], starts[0])
+
+
 def test_episodes_can_end_early_but_that_never_pays(tmp_path: Path) -> None:
     section = "forbidden_contacts: [[load, post]]\n"
     section += "task: {termination: {bounds: true, contacts: true, below: {swing: -1}}}\n"
@@ -159,7 +172,7 @@ def test_environments_of_a_file_agree(tmp_path: Path) -> None:
 
 def test_hash_changes_with_the_task_and_not_with_the_planner(tmp_path: Path) -> None:
     task = crane(tmp_path)
-    assert task.hash == "61d6c9a20a652ddc09df46689d0c33849d043a70c6429b4243ad905a4f92ea9d"
+    assert task.hash == "5e83fe75413982dcc6df953529bd9f0479c6048cdcb72d80f9866071a5220b12"
     assert crane(tmp_path, "settings: {min_rounds: 2}\n").hash == task.hash
     for section in ("task: {tolerance: 0.2}", "task: {reward: sparse}", "goal_weights: [1, 1, 0, 0]"):
         assert crane(tmp_path, f"{section}\n").hash != task.hash
@@ -244,3 +257,12 @@ def test_a_file_name_becomes_a_task_name_and_a_problem_must_fit_its_task(tmp_pat
         replace(task, model="<mujoco/>").compile()
     with pytest.raises(UsageError, match="problem must be a name, a path or a Problem, got 3"):
         replace(task, problem=3)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_section_in_the_docs_can_be_read() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "own-task.md").read_text()
+    (section,) = re.findall(r"```yaml\n(task:.*?)```", page, re.DOTALL)
+    settings = task_settings(yaml.safe_load(section)["task"])
+    assert settings.termination.below == (("torso_z", 0.3),)
+    same = replace(settings.reward, distance=(), alive=None)
+    assert replace(settings, reward=same, tolerance=None, termination=Termination()) == TaskSettings()

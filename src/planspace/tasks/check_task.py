@@ -36,6 +36,8 @@ def check_task(task: Task, model: mujoco.MjModel | None = None, space: StateSpac
     rng = np.random.default_rng(0)
     if task.draw_targets is not None:
         _try(task, "draw_targets", lambda: task.draw_targets(BATCH, rng), (BATCH, None))  # pyright: ignore
+    if task.draw_starts is not None:
+        _try(task, "draw_starts", lambda: task.draw_starts(BATCH, rng), (BATCH, space.size))  # pyright: ignore
     states, targets = task.sample_starts(BATCH, rng)
     control = np.zeros((BATCH, num_controls))
     obs = _try(task, "observe", lambda: task.observe(states, targets), (BATCH, len(task.obs_fields) or None))

@@ -21,10 +21,10 @@ VERSION = 1
 """Version of the functions below. It is part of a task's hash, so change it when a function returns other
 numbers."""
 READ = (
-    *("goal", "goal_random", "goal_weights", "tolerance", "velocity_bound", "position_bounds"),
+    *("start", "goal", "goal_random", "goal_weights", "tolerance", "velocity_bound", "position_bounds"),
     *("control_bounds", "forbidden_contacts", "predicate"),
 )
-"""Fields of a problem that its task depends on, besides the model, joints and start of the task itself."""
+"""Fields of a problem that its task depends on, besides its model and joints."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,8 +92,13 @@ class GoalTask:
 
     def draw_targets(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "env state"]:
         """Draw valid goals from the problem's box."""
-        simulator = self._goal_checker
+        simulator = self._state_checker
         return np.stack([self.problem.draw_goal(self.space, rng, simulator).center for _ in range(num)])
+
+    def draw_starts(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "env state"]:
+        """Draw valid starts from the problem's box, as plans do."""
+        simulator = self._state_checker
+        return np.stack([self.problem.draw_start(simulator, rng) for _ in range(num)])
 
     @property
     def obs_fields(self) -> tuple[tuple[str, str], ...]:
@@ -164,7 +169,7 @@ class GoalTask:
         return settings.reward.max_distance if settings.termination.possible else 0.0
 
     @cached_property
-    def _goal_checker(self) -> Simulator:
+    def _state_checker(self) -> Simulator:
         model, space = self._compiled
         return Simulator(model, space, 1, threads=1, validity=self.problem.validity)
 
@@ -224,6 +229,7 @@ def task_of_problem(problem: Problem) -> Task:
         obs_fields=functions.obs_fields,
         trig_columns=() if settings.observation == "trig" else None,
         terminated=functions.terminated,
+        draw_starts=functions.draw_starts,
         draw_targets=functions.draw_targets if problem.goal_random else None,
         problem=problem,
     )

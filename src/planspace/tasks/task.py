@@ -44,7 +44,10 @@ Observe = Callable[[np.ndarray, np.ndarray], np.ndarray]
 Terminated = Callable[[np.ndarray], np.ndarray]
 """States after a step to whether the episode ends there [env]."""
 DrawTargets = Callable[[int, np.random.Generator], np.ndarray]
-"""(number of episodes, random stream) to their targets [env, target]."""
+"""(number of episodes, random stream) to their targets [env, target]; a `draw_starts` returns states."""
+
+OPTIONAL = ("draw_targets", "draw_starts", "reward_2020")
+"""Functions that a task need not have."""
 
 
 def never(states: np.ndarray) -> Bool[np.ndarray, " env"]:
@@ -92,6 +95,9 @@ class Task:
     draw_targets: DrawTargets | None = None
     """(number, random stream) to the targets of that many episodes [env, target]; None means no target. A
     mocap body in the model is drawn at the target."""
+    draw_starts: DrawTargets | None = None
+    """(number, random stream) to the first states of that many episodes [env, state]; None draws them
+    uniformly between `start_low` and `start_high`."""
     reward_2020: Reward | None = None
     """The reward of the 2020 code, if it had mistakes that `reward` does not have."""
     env_id: str = ""
@@ -178,6 +184,8 @@ class Task:
 
         names = [f.name for f in fields(self) if f.name not in ("model", "problem")]
         settings = {name: function_settings(getattr(self, name)) for name in names}
+        if self.draw_starts is None:  # earlier versions did not have it
+            del settings["draw_starts"]
         source = self.source
         settings["problem"] = self.problem_name
         return json_hash({**settings, "model": source.text if source.is_text else source.plain()})
@@ -205,7 +213,10 @@ class Task:
         self, num: int, rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "env state"], Float[np.ndarray, "env target"]]:
         """Draw the first states and the targets of `num` episodes; quaternions are normalised."""
-        states = rng.uniform(self.start_low, self.start_high, (num, len(self.start_low)))
+        if self.draw_starts is None:
+            states = rng.uniform(self.start_low, self.start_high, (num, len(self.start_low)))
+        else:
+            states = self.draw_starts(num, rng)
         states = self.space.normalise(states)
         targets = np.empty((num, 0)) if self.draw_targets is None else self.draw_targets(num, rng)
         return states, targets
@@ -291,9 +302,9 @@ def check_fields(task: Task) -> None:
             f"must have as many numbers as start_high and none above it, got {quoted(task.start_low)} and "
             f"{quoted(task.start_high)}",
         )
-    for name in ("reward", "at_goal", "observe", "terminated", "draw_targets", "reward_2020"):
+    for name in ("reward", "at_goal", "observe", "terminated", *OPTIONAL):
         value = getattr(task, name)
-        if not callable(value) and not (value is None and name in ("draw_targets", "reward_2020")):
+        if not callable(value) and not (value is None and name in OPTIONAL):
             raise misfit(task, name, f"must be a function, got {quoted(value)}")
     if not isinstance(task.problem, str | Path) and not hasattr(task.problem, "compile"):
         raise misfit(task, "problem", f"must be a name, a path or a Problem, got {quoted(task.problem)}")
