@@ -80,9 +80,9 @@ def test_a_problem_without_a_section_is_a_task(tmp_path: Path) -> None:
     assert (task.name, task.horizon, task.frame_skip, task.target_size) == ("crane", 100, 2, 0)
     assert task.start_low == (-1.0, -0.5, -0.1, -0.1)
     assert list(task.fields("raw")) == ["trolley", "swing", "trolleyvel", "swingvel"]
-    # -(|0.5| + |2 pi + 0.2| the short way round) - 0.05 (1 / 2)^2; velocities cost nothing
-    assert rewarded(task, row(0.5, 2 * np.pi + 0.2, 9, 9), 1.0) == pytest.approx(-0.7125)
-    assert rewarded(task, row(0.05, 0.04, 9, 9)) == pytest.approx(-0.09 + 1)
+    # -(|0.5| + |2 pi + 0.2| the short way round) / 2 - 0.05 (1 / 2)^2; velocities cost nothing
+    assert rewarded(task, row(0.5, 2 * np.pi + 0.2, 9, 9), 1.0) == pytest.approx(-0.3625)
+    assert rewarded(task, row(0.05, 0.04, 9, 9)) == pytest.approx(-0.045 + 1)
     assert rewarded(task, row(1e9, 0, 0, 0)) == -5
     assert task.at_goal(row(0.05, 0.04, 9, 9), NONE)[0] and not task.at_goal(row(0.07, 0.04, 0, 0), NONE)[0]
     assert not task.terminated(row(3, 0, 0, 0))[0]
@@ -90,14 +90,14 @@ def test_a_problem_without_a_section_is_a_task(tmp_path: Path) -> None:
 
 def test_goal_weights_and_boxes_decide_the_distance(tmp_path: Path) -> None:
     task = crane(tmp_path, "goal_weights: [2, 0.5, 1, 1]\n")
-    assert rewarded(task, row(0.5, 0.2, 0, 0)) == pytest.approx(-1.1)
+    assert rewarded(task, row(0.5, 0.2, 0, 0)) == pytest.approx(-0.55)
     task = crane(tmp_path, "task: {reward: {distance: [3, 0], bonus: 0, max_distance: 1}, tolerance: 0.4}\n")
     assert rewarded(task, row(0.3, 0.2, 0, 0)) == pytest.approx(-0.9)
     assert rewarded(task, row(0.5, 0.2, 0, 0)) == -1
     assert task.at_goal(row(0.3, 0.05, 0, 0), NONE)[0]
     box = "goal: {low: [-1, 0, 0, 0], high: [1, 0, 0, 0]}"
     wide = CRANE.replace("goal: [0.0, 0.0, 0.0, 0.0]", box)
-    assert rewarded(crane(tmp_path, base=wide), row(1.25, 0, 0, 0)) == pytest.approx(-0.25)
+    assert rewarded(crane(tmp_path, base=wide), row(1.25, 0, 0, 0)) == pytest.approx(-0.125)
     speed = crane(tmp_path, "goal_weights: [0, 0, 1, 0]\n")  # a goal without positions counts velocities
     assert rewarded(speed, row(1, 1, 0.5, 1)) == pytest.approx(-0.5)
 
@@ -127,7 +127,7 @@ def test_random_goals_are_valid_targets_of_an_episode(tmp_path: Path, rng: np.ra
     assert goals.shape == (100, 4) and goals[:, 0].min() > -1
     assert ((goals[:, 0] < 1.4) | (goals[:, 0] > 1.6)).all() and goals[:, 0].max() > 1.6  # beside the post
     assert rewarded(task, goals[:1], target=goals[:1]) == 1
-    assert rewarded(task, row(0, 0, 0, 0), target=row(0.5, 0.1, 0, 0)) == pytest.approx(-0.6)
+    assert rewarded(task, row(0, 0, 0, 0), target=row(0.5, 0.1, 0, 0)) == pytest.approx(-0.3)
 
 
 def test_starts_are_valid_and_drawn_for_each_episode_by_itself(tmp_path: Path) -> None:
@@ -137,6 +137,7 @@ def test_starts_are_valid_and_drawn_for_each_episode_by_itself(tmp_path: Path) -
     assert ((starts[:, 0] < 1.4) | (starts[:, 0] > 1.6)).all() and starts[:, 0].max() > 1.6
     first, _ = task.sample_starts(1, np.random.default_rng(0))
     np.testing.assert_array_equal(first[0], starts[0])
+    assert task.sample_starts(0, np.random.default_rng(0))[0].shape == (0, 4)  # no episode ended
 
 
 def test_episodes_can_end_early_but_that_never_pays(tmp_path: Path) -> None:
@@ -149,10 +150,10 @@ def test_episodes_can_end_early_but_that_never_pays(tmp_path: Path) -> None:
         assert task.terminated(again).tolist() == [False, True, True, True, False][: len(again)] * (
             len(again) // 5 or 1
         )
-    assert rewarded(task, row(0.5, 0, 0, 0)) == pytest.approx(5 - 0.5)
-    assert rewarded(task, row(2.1, 0, 0, 0)) == pytest.approx(-2.1)
+    assert rewarded(task, row(0.5, 0, 0, 0)) == pytest.approx(5 - 0.25)
+    assert rewarded(task, row(2.1, 0, 0, 0)) == pytest.approx(-1.05)
     only = crane(tmp_path, "task: {termination: {below: {swing: -1}}, reward: {alive: 0}}\n")
-    assert rewarded(only, row(0.5, 0, 0, 0)) == pytest.approx(-0.5)
+    assert rewarded(only, row(0.5, 0, 0, 0)) == pytest.approx(-0.25)
 
 
 def test_environments_of_a_file_agree(tmp_path: Path) -> None:
@@ -248,6 +249,13 @@ def test_what_does_not_fit_is_refused(section: str, message: str, tmp_path: Path
     pattern = message.replace("(", r"\(").replace(")", r"\)")
     with pytest.raises(PlanspaceError, match=pattern):
         find_task(write(tmp_path, f"{base}{section}\n"))
+
+
+def test_a_file_without_its_ending_is_suggested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, CRANE)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=r"unknown task 'crane'. Did you mean the problem file crane.yaml\?"):
+        find_task("crane")
 
 
 def test_a_file_name_becomes_a_task_name_and_a_problem_must_fit_its_task(tmp_path: Path) -> None:

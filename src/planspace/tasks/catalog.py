@@ -50,6 +50,8 @@ def find_task(task: str | Path | Task) -> Task:
         from planspace.tasks.problem_task import task_of_problem
 
         return task_of_problem(load_problem(task))
+    if str(task) not in TASKS and Path(f"{task}.yaml").is_file():
+        raise UsageError(f"unknown task {quoted(str(task))}. Did you mean the problem file {task}.yaml?")
     if str(task) not in TASKS:
         raise unknown("task", str(task), TASKS)
     return TASKS[str(task)]

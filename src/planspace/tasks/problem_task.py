@@ -93,12 +93,14 @@ class GoalTask:
     def draw_targets(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "env state"]:
         """Draw valid goals from the problem's box."""
         simulator = self._state_checker
-        return np.stack([self.problem.draw_goal(self.space, rng, simulator).center for _ in range(num)])
+        goals = [self.problem.draw_goal(self.space, rng, simulator).center for _ in range(num)]
+        return np.array(goals).reshape(num, self.space.size)
 
     def draw_starts(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "env state"]:
         """Draw valid starts from the problem's box, as plans do."""
         simulator = self._state_checker
-        return np.stack([self.problem.draw_start(simulator, rng) for _ in range(num)])
+        starts = [self.problem.draw_start(simulator, rng) for _ in range(num)]
+        return np.array(starts).reshape(num, self.space.size)
 
     @property
     def obs_fields(self) -> tuple[tuple[str, str], ...]:
@@ -152,8 +154,8 @@ class GoalTask:
     @cached_property
     def _reward_weights(self) -> Float[np.ndarray, " tangent"]:
         given = self.problem.task.reward.distance
-        if not given:
-            return self._goal_weights
+        if not given:  # the mean, so that a robot of many joints is not beyond `max_distance` everywhere
+            return self._goal_weights / max(1, np.count_nonzero(self._goal_weights))
         return np.array([*given, *(0.0,) * (self.space.tangent_size - len(given))])
 
     @cached_property

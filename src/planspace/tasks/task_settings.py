@@ -17,7 +17,7 @@ class RewardSettings:
     """Whether the reward is only 1 at the goal, and 0 elsewhere."""
     distance: tuple[float, ...] = ()
     """Cost of a metre or a radian away from the goal, for each degree of freedom, or also for each velocity;
-    empty takes the positions of `goal_weights`."""
+    empty takes the mean over positions, weighted by `goal_weights`."""
     max_distance: float = MAX_DISTANCE_COST
     """Upper bound on the cost of the distance."""
     effort: float = 0.05
