@@ -318,7 +318,7 @@ def test_table_of_models_that_others_wrote() -> None:
         known = {row["problem"]: row for row in csv.DictReader(file)}
     section = sections("docs/planning.md", 3)["Models that others wrote"]
     rows = [row for row in table_rows(section) if row[0] != "problem"]
-    assert {row[0] for row in rows} == known.keys() and len(rows) >= 25
+    assert {row[0] for row in rows} == known.keys() and len(rows) >= 20
     for name, _, settings, solved, seconds, duration, error in rows:
         wanted = [
             known[name][k] for k in ("settings", "solved", "seconds_per_plan", "duration_s", "replay_error")

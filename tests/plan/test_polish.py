@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from planspace.physics.simulator import Simulator
+from planspace.plan import linearise
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig
 from planspace.plan.polish import Polish
@@ -131,3 +132,9 @@ def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str)
     assert controls is not None and len(controls) < 0.8 * len(search.controls)
     states = rolled(simulator, start, controls)
     assert goal.reached(states[-1]) and simulator.valid_states(states).all()
+
+
+def test_a_linear_model_without_a_solution_has_no_feedback() -> None:
+    """A control without cost and effect: the equations of its gain are singular."""
+    gains = linearise.tracking_gains(np.ones((3, 2, 2)), np.zeros((3, 2, 1)), np.ones(2), np.zeros(1))
+    np.testing.assert_array_equal(gains, np.zeros((3, 1, 2)))

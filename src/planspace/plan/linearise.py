@@ -5,6 +5,8 @@
     A_k = d x_{k+1} / d x_k,    B_k = d x_{k+1} / d u_k
 """
 
+import contextlib
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -67,12 +69,16 @@ def tracking_gains(
     state_cost: Float[np.ndarray, " tangent"],
     control_cost: Float[np.ndarray, " control"],
 ) -> Float[np.ndarray, "step control tangent"]:
-    """Gains of a time-varying LQR that keeps a simulation on the trajectory."""
+    """Gains of a time-varying LQR that keeps a simulation on the trajectory.
+
+    Where the linear model has no solution, for example because it overflows, the gain is zero.
+    """
     count, n, m = b.shape
     gains, value = np.zeros((count, m, n)), np.diag(state_cost)
     for k in reversed(range(count)):
         pull = b[k].T @ value
-        gains[k] = np.linalg.solve(np.diag(control_cost) + pull @ b[k], pull @ a[k])
+        with contextlib.suppress(np.linalg.LinAlgError):
+            gains[k] = np.linalg.solve(np.diag(control_cost) + pull @ b[k], pull @ a[k])
         value = np.diag(state_cost) + a[k].T @ value @ (a[k] - b[k] @ gains[k])
     return gains
 

@@ -50,11 +50,12 @@ class Regulator:
         self.value, self.gain = np.diag(cost), np.zeros((len(effort), len(cost)))
         for discount in DISCOUNTS:  # if none works, states are ordered by distance and not steered
             try:
-                self.value = scipy.linalg.solve_discrete_are(discount * a[0], b[0], np.diag(cost), effort)
+                value = scipy.linalg.solve_discrete_are(discount * a[0], b[0], np.diag(cost), effort)
+                pull = b[0].T @ value
+                gain = np.linalg.solve(effort + pull @ b[0], pull @ a[0])
             except np.linalg.LinAlgError:
                 continue
-            pull = b[0].T @ self.value
-            self.gain = np.linalg.solve(effort + pull @ b[0], pull @ a[0])
+            self.value, self.gain = value, gain
             break
 
     def control(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch control"]:
