@@ -216,6 +216,7 @@ def test_a_batch_equals_its_samples_and_gradients_are_finite(name) -> None:
     assert float(jnp.abs(gradient.decode.weights[-1]).max()) > 0
 
 
+@pytest.mark.slow
 def test_equal_states_have_finite_gradients() -> None:
     """A norm has no gradient at zero."""
     s = eqx.tree_at(lambda s: s.x, sample(), jnp.zeros((3, 4)))

@@ -108,7 +108,9 @@ def test_only_the_changed_setting_is_named(tmp_path: Path) -> None:
     problem = load_problem("cartpole")
     plan_into(problem, tmp_path, num=1, seed=0, config=QUICK_PLANNER, workers=0)
     other = replace(QUICK_PLANNER, planner=SST(extensions=128))
-    with pytest.raises(PlanspaceError, match="settings: config.planner.extensions was 256, now 128.$"):
+    with pytest.raises(
+        PlanspaceError, match=r"settings: config.planner.extensions was 256, now 128\. Choose another --out"
+    ):
         plan_into(problem, tmp_path, num=1, seed=0, config=other, workers=0)
 
 

@@ -56,6 +56,7 @@ def extra_steps(demos: ps.Demos) -> np.ndarray:
     return (demos.times[ends] - 2 * np.sqrt(distances / ACCELERATION)) / STEP
 
 
+@pytest.mark.slow
 def test_a_users_planner_and_the_shipped_one_take_the_shortest_time(problem: ps.Problem) -> None:
     own = ps.plan_demos(problem, 4, planner=BangBang(), workers=0, verbose=False)
     shipped = ps.plan_demos(problem, 4, planner="sst", workers=0, verbose=False)

@@ -185,6 +185,7 @@ def test_an_embedding(train_embedding: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("frequent_checkpoints")
+@pytest.mark.slow
 def test_a_frozen_seed_stays_frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An undisturbed run has no frozen seed, so the tests above do not cover it."""
     save = rl_training.save_checkpoint

@@ -118,6 +118,7 @@ def test_shaping_changes_training_but_not_the_reported_returns(algo: str, embedd
     np.testing.assert_array_equal(again["return"], shaped["return"])
 
 
+@pytest.mark.slow
 def test_the_sparse_reward_is_one_at_the_goal() -> None:
     config = replace(CONFIG, shaping="none", reward="sparse")
     returns = train_policies(TASK, config).history["return"]

@@ -44,6 +44,7 @@ def test_a_finished_run_is_loaded_and_other_settings_are_refused(tmp_path: Path)
         train_policies(TASK, config.with_hyperparameters(max_kl=0.02), out=tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_in_memory_policies_outlive_their_training(embedding: Embedding) -> None:
     config = replace(CONFIG, steps=1, z="augment")
     trained = train_policies(TASK, config, embedding=embedding, verbose=False)

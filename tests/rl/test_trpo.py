@@ -79,6 +79,7 @@ def test_a_failed_line_search_leaves_the_policy_unchanged(policy: GaussianPolicy
     assert float(info.kl) == 0.0 and int(info.rounds) == CONFIG.max_backtracks
 
 
+@pytest.mark.slow
 def test_curvature_that_is_not_positive_skips_the_update(policy: GaussianPolicy, batch: tuple) -> None:
     new, info = update(policy, *batch, unchecked("cg_damping", -100.0))
     assert info.skipped and int(info.rounds) == 1
