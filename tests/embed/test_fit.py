@@ -154,7 +154,7 @@ def test_a_finished_embedding_is_loaded_and_other_settings_are_refused(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "broken",
-    [pytest.param(99, marks=pytest.mark.slow), 150, pytest.param(249, marks=pytest.mark.slow)],
+    [pytest.param(99, marks=pytest.mark.nightly), 150, pytest.param(249, marks=pytest.mark.nightly)],
 )
 def test_the_checkpoint_of_a_diverged_training_is_from_before_the_divergence(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: int
@@ -207,7 +207,7 @@ def _shortened(demos: Demos, i: int, length: int) -> Episode:
     [
         "pca",
         *(
-            pytest.param(name, marks=pytest.mark.slow)
+            pytest.param(name, marks=pytest.mark.slow if name in ("direct", "e2c") else pytest.mark.nightly)
             for name in ("direct", "vae", "e2c", "straightening", "distance", "random", "shuffled")
         ),
     ],

@@ -26,7 +26,7 @@ UNPOLISHED = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=0))
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "config"),
-    [("cartpole", UNPOLISHED), pytest.param("cartpole-swingup", QUICK_PLANNER, marks=pytest.mark.slow)],
+    [("cartpole", UNPOLISHED), pytest.param("cartpole-swingup", QUICK_PLANNER, marks=pytest.mark.nightly)],
 )
 def test_interrupted_planning_ends_like_uninterrupted_planning(
     name: str, config: PlanConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

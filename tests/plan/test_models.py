@@ -73,7 +73,7 @@ def test_the_control_that_holds_a_servo_is_its_target() -> None:
 @pytest.mark.slow
 def test_a_pendulum_is_swung_up_at_any_time_step() -> None:
     durations = []
-    for step in (0.002, 0.01, 0.02):
+    for step in (0.002, 0.02):
         problem = problem_of(
             PENDULUM.format(step=step),
             ("j",),
@@ -81,7 +81,7 @@ def test_a_pendulum_is_swung_up_at_any_time_step() -> None:
             [0.0, 0.0],
             sample_velocity=(12.0,),
         )
-        demos = plan_demos(problem, 2, workers=0, verbose=False)
+        demos = plan_demos(problem, 2, workers=2, verbose=False)
         assert len(demos) == 2
         durations.append(float(np.median(demos.times[demos.offsets[1:] - 1])))
     assert max(durations) < 1.5 * min(durations)

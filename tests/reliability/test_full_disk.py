@@ -104,7 +104,7 @@ def test_on_a_full_disk_nothing_is_lost(
         shutil.rmtree(out)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_on_a_full_disk_continues_when_there_is_room(disk: Path, finished: Path) -> None:
     out = disk / "out"
     leave_free(disk, 0)

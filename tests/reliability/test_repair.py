@@ -66,7 +66,7 @@ def content(out: Path) -> dict[str, Any]:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_repaired_file_is_made_again_as_it_was(finished: Path, tmp_path: Path) -> None:
     out = shutil.copytree(finished, tmp_path / "out")
     before = content(out)

@@ -92,7 +92,10 @@ def test_run_does_every_stage_and_repeats_no_finished_work(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
-@pytest.mark.parametrize("task", ["cartpole", "reacher-trig", "reacher-raw"])
+@pytest.mark.parametrize(
+    "task",
+    ["cartpole", *(pytest.param(x, marks=pytest.mark.nightly) for x in ("reacher-trig", "reacher-raw"))],
+)
 def test_every_task_runs(task: str, tmp_path: Path) -> None:
     summary = run(task, "smoke", tmp_path / "run", 0)
     assert len(summary.arms) == (2 if task == "reacher-trig" else 3)
@@ -101,7 +104,13 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("tiny")
-@pytest.mark.parametrize("base", [CRANE, STILL], ids=["one goal", "random goals"])
+@pytest.mark.parametrize(
+    "base",
+    [
+        pytest.param(CRANE, id="one goal"),
+        pytest.param(STILL, id="random goals", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_problem_file_runs_like_a_shipped_task(
     base: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

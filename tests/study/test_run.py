@@ -257,6 +257,7 @@ def modification_times(out: Path) -> dict[Path, int]:
     return found
 
 
+@pytest.mark.nightly
 def test_a_study_that_is_killed_repeatedly_ends_with_the_same_results(finished: Path, tmp_path: Path) -> None:
     out, rng = tmp_path / "out", random.Random(0)
     for _ in range(KILLS):
