@@ -91,18 +91,18 @@ def reference_positions(model: mujoco.MjModel) -> dict[str, tuple[float, ...]]:
 
 def joint_positions(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, tuple[float, ...]]:
     """Return the position of every joint in qpos."""
-    ends = [*model.jnt_qposadr[1:].tolist(), model.nq]
-    return {
-        model.joint(i).name: tuple(qpos[model.jnt_qposadr[i] : ends[i]].tolist()) for i in range(model.njnt)
-    }
+    return _by_joint(model, qpos, model.jnt_qposadr)
 
 
 def joint_velocities(model: mujoco.MjModel, qvel: np.ndarray) -> dict[str, tuple[float, ...]]:
     """Return the velocity of every joint in qvel."""
-    ends = [*model.jnt_dofadr[1:].tolist(), model.nv]
-    return {
-        model.joint(i).name: tuple(qvel[model.jnt_dofadr[i] : ends[i]].tolist()) for i in range(model.njnt)
-    }
+    return _by_joint(model, qvel, model.jnt_dofadr)
+
+
+def _by_joint(model: mujoco.MjModel, numbers: np.ndarray, firsts: np.ndarray) -> dict[str, tuple[float, ...]]:
+    """Each joint's part of an array, given the index where each part begins."""
+    parts = np.split(numbers, firsts[1:])
+    return {model.joint(i).name: tuple(parts[i].tolist()) for i in range(model.njnt)}
 
 
 def _move_body(

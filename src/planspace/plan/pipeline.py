@@ -65,7 +65,7 @@ class Pipeline:
             start, goal = self._draw(rng)
             found = self.connect(start, goal, rng)
             if isinstance(found, Trajectory):
-                found = self._stored(found, self.query(start, goal))
+                found = self._stored(found, goal)
             if isinstance(found, Trajectory):
                 return self._episode(found, goal, index, attempt)
             nearest, reason = min(nearest, found.nearest), found.reason
@@ -137,12 +137,12 @@ class Pipeline:
         if isinstance(found, Plan):
             yield found.controls
 
-    def _stored(self, plan: Trajectory, query: Query) -> Trajectory | Failure:
+    def _stored(self, plan: Trajectory, goal: Goal) -> Trajectory | Failure:
         """The plan with angles that end in (-pi, pi], proved again from its stored start."""
         states = _continuous(self.space, plan.states)
         if np.array_equal(states, plan.states):
             return plan
-        again = replay_plan(replace(query, start=states[0]), plan.controls)
+        again = replay_plan(self.query(states[0], goal), plan.controls)
         if isinstance(again, Trajectory) and len(again.states) == len(states):
             close = np.abs(again.states - states).max() < SAME_STATES
             return Trajectory(states if close else again.states, plan.controls)
