@@ -74,8 +74,13 @@ def runs(page: Path) -> bool:
 
 QUICK = ("environments.md", "howto/own-environment.md", "howto/shaping.md")
 """Pages that run within seconds."""
+LONG = ("howto/own-objective.md", "howto/demonstrations.md")
+"""Pages that run for more than half a minute and whose commands other tests run, too."""
 RUNNING = [
-    pytest.param(str(page), marks=() if str(page) in QUICK else pytest.mark.slow)
+    pytest.param(
+        str(page),
+        marks=pytest.mark.nightly if str(page) in LONG else () if str(page) in QUICK else pytest.mark.slow,
+    )
     for page in PAGES
     if runs(page)
 ]

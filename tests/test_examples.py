@@ -32,8 +32,19 @@ NEEDS = {"agents_sb3.py": "sb3_contrib", "minari_demos.py": "minari"}
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("script", "arguments", "says"), CASES, ids=[f"{c[0]}-{c[1][2]}" for c in CASES])
+LONG = ("Reacher-v5", "swingup/expert-v0")
+"""Arguments of the longest runs."""
+RUNS = [
+    pytest.param(
+        *case,
+        id=f"{case[0]}-{case[1][0]}-{case[1][2]}",
+        marks=pytest.mark.nightly if case[1][0] in LONG else pytest.mark.slow,
+    )
+    for case in CASES
+]
+
+
+@pytest.mark.parametrize(("script", "arguments", "says"), RUNS)
 def test_example_runs(
     script: str, arguments: tuple[str, ...], says: str, embedding_folder: Path, tmp_path: Path
 ) -> None:

@@ -188,7 +188,7 @@ def test_an_interrupted_import_continues(tmp_path: Path, monkeypatch: pytest.Mon
     assert load_demos(tmp_path / "out").hash == load_demos(tmp_path / "alone").hash
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_memory_does_not_grow_with_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("planspace.demos.folder.SHARD_EPISODES", 100)
 

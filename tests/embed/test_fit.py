@@ -83,7 +83,7 @@ def test_seeds_are_trained_in_groups_of_two_or_three(num_seeds: int) -> None:
     assert {len(group) for group in groups} <= ({2, 3} if num_seeds > 1 else {1})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_weights_do_not_depend_on_the_number_of_cores(
     demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,7 +278,7 @@ def test_curves_are_written_for_tensorboard(demos: Demos, tmp_path: Path) -> Non
     assert events.Scalars("bound/seed 4")[-1].step == 20
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_averaged_weights_change_more_slowly(demos: Demos, tmp_path: Path) -> None:
     def weights(name: str, average: float) -> np.ndarray:
         config = replace(QUICK_FIT, steps=50, average=average)

@@ -194,8 +194,8 @@ import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from planspace.cli.interrupts import interruptible
 with interruptible(whole_process=True):
-    print("started", flush=True)
     try:
+        print("started", flush=True)
         time.sleep(1000)
     finally:
         print("stopping", flush=True)

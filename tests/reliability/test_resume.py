@@ -127,11 +127,11 @@ def assert_exact(run: Run, module: ModuleType, tmp_path: Path) -> Iterator[str]:
             yield item
 
 
-ARMS: list[tuple[str, str, ZMode]] = [
-    ("trpo", "paper", "none"),
-    ("trpo", "modern", "augment"),
-    ("ppo", "paper", "augment"),
-    ("ppo", "modern", "none"),
+ARMS = [
+    pytest.param("trpo", "paper", "none", marks=pytest.mark.slow),
+    pytest.param("trpo", "modern", "augment", marks=pytest.mark.nightly),
+    pytest.param("ppo", "paper", "augment", marks=pytest.mark.nightly),
+    pytest.param("ppo", "modern", "none", marks=pytest.mark.slow),
 ]
 
 
@@ -144,7 +144,6 @@ def frequent_checkpoints(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rl_training, "CHECKPOINT_EVERY", 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("algo", "preset", "z"), ARMS)
 @pytest.mark.usefixtures("frequent_checkpoints")
 def test_policies(algo: str, preset: str, z: ZMode, embedding: Embedding, tmp_path: Path) -> None:
@@ -233,7 +232,7 @@ def test_the_step_counter_of_an_embedding_matters(train_embedding: Run, tmp_path
     assert_counter_and_log_matter(train_embedding, embed_training, "step", tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The manifest of a dataset is its checkpoint: its shards and the next index."""
     monkeypatch.setattr(demonstrations, "SHARD_EPISODES", 2)

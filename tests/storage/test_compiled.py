@@ -57,7 +57,7 @@ def train(out: Path, **environment: str) -> tuple[int, bytes, str]:
     return hits, (out / "history.safetensors").read_bytes(), done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_next_start_loads_compiled_programs_and_ends_the_same(cache: Path, tmp_path: Path) -> None:
     home = {"XDG_CACHE_HOME": str(cache)}
     hits, history, _ = train(tmp_path / "compiled", **home)

@@ -56,7 +56,7 @@ def workers() -> list[int]:
 
 
 @pytest.mark.ray
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cluster_gives_the_same_results_if_a_worker_is_killed(finished: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     killed: list[int] = []

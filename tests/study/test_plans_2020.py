@@ -24,7 +24,7 @@ def test_the_distance_of_2020_is_negative_beyond_a_rotation(theta: float, expect
     assert distance_of_2020(moving, GOAL) == pytest.approx(expected + 3.5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plans_with_winding_reach_the_goal_only_by_the_distance_of_2020(tmp_path: Path) -> None:
     problem = load_problem("cartpole-swingup")
     winding_plans(problem, tmp_path / "demos", 3, seed=0)

@@ -90,12 +90,9 @@ def test_run_does_every_stage_and_repeats_no_finished_work(
     assert trained == ["raw", "trig", "trig-z"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("tiny")
-@pytest.mark.parametrize(
-    "task",
-    ["cartpole", *(pytest.param(x, marks=pytest.mark.nightly) for x in ("reacher-trig", "reacher-raw"))],
-)
+@pytest.mark.parametrize("task", ["cartpole", "reacher-trig", "reacher-raw"])
 def test_every_task_runs(task: str, tmp_path: Path) -> None:
     summary = run(task, "smoke", tmp_path / "run", 0)
     assert len(summary.arms) == (2 if task == "reacher-trig" else 3)
