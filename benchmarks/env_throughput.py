@@ -46,8 +46,9 @@ def bare(task: Task, num: int, states: np.ndarray, actions: np.ndarray) -> Calla
     model, space = task.compile()
     batch = mujoco.batch.Batch(model, num, 0)
     qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+    act = batch.bind("act")
     ctrl[:] = actions
-    space.write(states, qpos, qvel)
+    space.write(states, qpos, qvel, act)
     elapsed = 0
 
     def step() -> None:
@@ -55,7 +56,7 @@ def bare(task: Task, num: int, states: np.ndarray, actions: np.ndarray) -> Calla
         batch.step(nstep=task.frame_skip)
         elapsed += 1
         if elapsed % task.horizon == 0:
-            space.write(states, qpos, qvel)
+            space.write(states, qpos, qvel, act)
 
     return step
 

@@ -53,7 +53,7 @@ def planned() -> np.ndarray:
 def followed(planner: Pipeline, regulator: Regulator, start: np.ndarray, controls: np.ndarray) -> float:
     """Return of a plan, followed by the regulator until the episode ends."""
     data, state, total = mujoco.MjData(planner.model), start, 0.0
-    planner.space.write(start, data.qpos, data.qvel)
+    planner.space.write(start, data.qpos, data.qvel, data.act)
     for step in range(TASK.horizon):
         efforts = []
         for k in range(step * TASK.frame_skip, (step + 1) * TASK.frame_skip):

@@ -74,7 +74,7 @@ def test_fingertip_equals_mujocos(rng: np.random.Generator) -> None:
     model, space = TASKS["reacher-raw"].compile()
     data = mujoco.MjData(model)
     for state in rng.uniform(-3, 3, (10, 4)):
-        space.write(state, data.qpos, data.qvel)
+        space.write(state, data.qpos, data.qvel, data.act)
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(fingertip(state[None])[0], data.body("fingertip").xpos[:2], atol=1e-12)
 
@@ -149,14 +149,14 @@ def test_physics_is_a_plain_loop_of_mj_step(env_id: str) -> None:
     data = mujoco.MjData(model)
     env.action_space.seed(0)
     _, info = env.reset(seed=0)
-    space.write(info["state"], data.qpos, data.qvel)
+    space.write(info["state"], data.qpos, data.qvel, data.act)
     for _ in range(60):
         action = env.action_space.sample()
         _, _, terminated, _, info = env.step(action)
         data.ctrl[:] = action
         for _ in range(task.frame_skip):
             mujoco.mj_step(model, data)
-        np.testing.assert_array_equal(info["state"], space.read(data.qpos, data.qvel))
+        np.testing.assert_array_equal(info["state"], space.read(data.qpos, data.qvel, data.act))
         if terminated:
             break
 

@@ -186,7 +186,7 @@ def test_held_joints_keep_the_pose_of_a_keyframe(moving: tuple[str, ...], tmp_pa
 def test_the_state_of_a_keyframe(tmp_path: Path) -> None:
     source = read_model(write(tmp_path, GRIPPER), ("wrist", "ball"), keyframe="home")
     found = read_keyframe(source, ("ball", "wrist"), "home")
-    assert found == ([0.5, 0.5, 0.5, 0.5, -0.2], [0.0, 0.0, 0.0, 0.0])
+    assert found == ([0.5, 0.5, 0.5, 0.5, -0.2], [0.0, 0.0, 0.0, 0.0], [])
     with pytest.raises(UsageError, match="unknown keyframe 'hom'. Did you mean 'home'"):
         read_keyframe(source, ("wrist",), "hom")
 

@@ -209,11 +209,11 @@ def test_a_predicate_can_forbid_states_along_an_edge() -> None:
     assert valid.tolist() == [True, False]
 
 
-def test_unknown_geoms_and_actuators_with_a_state_are_rejected() -> None:
+def test_unknown_geoms_and_actuators_with_a_hidden_state_are_rejected() -> None:
     with pytest.raises(UsageError, match="unknown geom or body 'bal'. Did you mean 'ball'"):
         load_model(BALL_AND_WALLS, (("bal", "left"),))
-    model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="filter" dynprm="0.1"'))
-    with pytest.raises(UsageError, match="the actuator 0 has an activation"):
+    model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="user" actdim="1"'))
+    with pytest.raises(UsageError, match="the actuator 0 has an activation of another kind"):
         Simulator(model, StateSpace.from_model(model, ["x"]), 1)
 
 

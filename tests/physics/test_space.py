@@ -153,10 +153,10 @@ def test_a_kinematic_space_has_no_velocities() -> None:
     model = load_model(MIXED)
     space = StateSpace.from_model(model, ["slide", "ball"], kinematic=True)
     assert (space.size, space.tangent_size) == (5, 4)
-    qpos, qvel = model.qpos0.copy(), np.ones(model.nv)
-    space.write(np.array([0.5, 0.0, 1.0, 0.0, 0.0]), qpos, qvel)
+    qpos, qvel, act = model.qpos0.copy(), np.ones(model.nv), np.empty(0)
+    space.write(np.array([0.5, 0.0, 1.0, 0.0, 0.0]), qpos, qvel, act)
     assert qvel[:4].tolist() == [0, 0, 0, 0]
-    np.testing.assert_array_equal(space.read(qpos, qvel), [0.5, 0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(space.read(qpos, qvel, act), [0.5, 0.0, 1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

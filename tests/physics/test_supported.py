@@ -6,8 +6,7 @@ from planspace.physics.supported import check_supported
 
 BODY = '<body name="b"><joint name="j"/><geom size="0.1"/></body>'
 CLOTH = '<body name="c"><flexcomp name="cloth" count="3 3 1" dim="2" spacing="1 1 1"/></body>'
-MUSCLE = '<muscle name="m" joint="j" lengthrange="0 1"/>'
-FILTER = '<motor joint="j"/><general joint="j" dyntype="filter" dynprm="0.1"/>'
+USER = '<motor joint="j"/><general joint="j" dyntype="user" actdim="2"/>'
 LATE = '<motor name="late" joint="j" delay="0.02" nsample="20"/>'
 
 
@@ -15,8 +14,11 @@ LATE = '<motor name="late" joint="j" delay="0.02" nsample="20"/>'
     ("body", "actuator", "message"),
     [
         (CLOTH, "", "the flexible body 'cloth'"),
-        (BODY, MUSCLE, "the actuator 'm' has an activation"),
-        (BODY, FILTER, "the actuator 1 has an activation"),
+        (
+            BODY,
+            USER,
+            "the actuator 1 has an activation of another kind .* integrator, filter, filterexact, m",
+        ),
         (BODY, LATE, "the actuator 'late' has a delay"),
     ],
 )
@@ -27,5 +29,6 @@ def test_a_hidden_state_is_refused_by_name(body: str, actuator: str, message: st
 
 
 def test_what_is_part_of_the_state_is_accepted() -> None:
-    servo = '<actuator><position joint="j" kp="3"/><motor joint="j"/></actuator>'
+    servo = '<actuator><position joint="j" kp="3"/><motor joint="j"/><muscle joint="j" lengthrange="0 1"/>'
+    servo += '<general joint="j" dyntype="filter" dynprm="0.1"/><cylinder joint="j"/></actuator>'
     check_supported(load_model(f"<mujoco><worldbody>{BODY}</worldbody>{servo}</mujoco>"))

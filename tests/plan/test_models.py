@@ -111,7 +111,7 @@ def test_a_start_closes_the_loops_of_the_model() -> None:
         start = problem.draw_start(simulator, np.random.default_rng(seed))
         assert simulator.constraints.violation(start).size < 1e-3
         data = mujoco.MjData(model)
-        space.write(start, data.qpos, data.qvel)
+        space.write(start, data.qpos, data.qvel, data.act)
         mujoco.mj_step(model, data)
         assert np.abs(data.qvel).max() < 0.5  # the loop does not snap shut
 

@@ -75,7 +75,7 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
         def frames() -> Iterator[Image]:
             data = mujoco.MjData(model)
             for state in states:
-                space.write(state, data.qpos, data.qvel)
+                space.write(state, data.qpos, data.qvel, data.act)
                 mujoco.mj_forward(model, data)
                 yield shoot(data)
                 bar.update()

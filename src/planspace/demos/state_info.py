@@ -36,7 +36,7 @@ class StateInfo:
     problem: str = ""
     """Name of the planning problem; empty if there is none."""
     joints: tuple[str, ...] = ()
-    """Joints of the model whose positions and velocities form the state."""
+    """Joints of the model whose positions and velocities, with all activations, form the state."""
     source: ModelSource | None = field(default=None, repr=False)
     """The files of the model; None if there is none."""
     quaternion_columns: tuple[int, ...] = ()

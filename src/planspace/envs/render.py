@@ -59,7 +59,7 @@ class Renderer:
                 ) from error
         assert self._shown is not None
         with self._window.lock():
-            self._shown.qpos[:], self._shown.qvel[:] = now.qpos, now.qvel
+            self._shown.qpos[:], self._shown.qvel[:], self._shown.act[:] = now.qpos, now.qvel, now.act
             self._shown.mocap_pos[:] = now.mocap_pos
             mujoco.mj_forward(self._batch.simulator.model, self._shown)
         self._window.sync()

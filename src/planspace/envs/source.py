@@ -39,7 +39,7 @@ class _Attribute:
 
 @dataclass(frozen=True)
 class _Joints:
-    """Reads positions and velocities of the joints of a MuJoCo environment."""
+    """Reads positions, velocities and activations of a MuJoCo environment."""
 
     env: Any
     space: Any
@@ -47,7 +47,7 @@ class _Joints:
     columns: list[int]
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
-        return self.space.read(self.env.data.qpos, self.env.data.qvel)[self.columns]
+        return self.space.read(self.env.data.qpos, self.env.data.qvel, self.env.data.act)[self.columns]
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,17 @@ def _compiled(source: ModelSource, watched: GeomPairs) -> mujoco.MjModel:
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    _limit_muscles(model)
     return model
+
+
+def _limit_muscles(model: mujoco.MjModel) -> None:
+    """Give muscles without a control range the range 0 to 1, to which their dynamics clip the control."""
+    unlimited = (model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_MUSCLE)) & (
+        model.actuator_ctrllimited == 0
+    )
+    model.actuator_ctrlrange[unlimited] = [0.0, 1.0]
+    model.actuator_ctrllimited[unlimited] = 1
 
 
 @contextmanager

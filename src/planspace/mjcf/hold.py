@@ -99,6 +99,11 @@ def joint_velocities(model: mujoco.MjModel, qvel: np.ndarray) -> dict[str, tuple
     return _by_joint(model, qvel, model.jnt_dofadr)
 
 
+def activated(model: mujoco.MjModel) -> np.ndarray:
+    """Return the number of the actuator that each activation belongs to."""
+    return np.repeat(np.arange(model.nu), np.maximum(model.actuator_actnum, 0))
+
+
 def _by_joint(model: mujoco.MjModel, numbers: np.ndarray, firsts: np.ndarray) -> dict[str, tuple[float, ...]]:
     """Each joint's part of an array, given the index where each part begins."""
     parts = np.split(numbers, firsts[1:])

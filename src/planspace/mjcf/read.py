@@ -11,7 +11,13 @@ import numpy as np
 
 from planspace.errors import PlanspaceError, UsageError, quoted, unknown
 from planspace.mjcf.compile import MUJOCO_ERRORS, compiling, leave_out_pictures, open_spec
-from planspace.mjcf.hold import joint_positions, joint_velocities, reference_positions
+from planspace.mjcf.hold import (
+    activated,
+    hold_joints,
+    joint_positions,
+    joint_velocities,
+    reference_positions,
+)
 from planspace.mjcf.model_check import MAX_ASSET_BYTES
 from planspace.mjcf.references import referred_files
 from planspace.mjcf.same_model import different_fields
@@ -65,20 +71,29 @@ def read_model(
 
 def read_keyframe(
     source: ModelSource, joints: Sequence[str], keyframe: str
-) -> tuple[list[float], list[float]]:
-    """Read the positions and velocities of joints in a keyframe of a model.
+) -> tuple[list[float], list[float], list[float]]:
+    """Read the positions and velocities of joints, and all activations, in a keyframe of a model.
 
     Raises:
         UsageError: the model has no such keyframe.
     """
     with open_spec(replace(source, held=())) as spec:
+        for number, actuator in enumerate(spec.actuators):  # to find it again after others are removed
+            actuator.name = actuator.name or f"planspace_{number}"
         model = spec.compile()
-    key = _find_keyframe(model, keyframe)
-    positions, velocities = (
-        joint_positions(model, model.key_qpos[key]),
-        joint_velocities(model, model.key_qvel[key]),
+        key = _find_keyframe(model, keyframe)
+        if source.held:
+            hold_joints(spec, dict(source.held))
+        left = {actuator.name for actuator in spec.actuators}
+    positions = joint_positions(model, model.key_qpos[key])
+    velocities = joint_velocities(model, model.key_qvel[key])
+    activations = model.key_act[key].tolist()
+    owners = [model.actuator(i).name for i in activated(model)]
+    return (
+        [x for name in joints for x in positions[name]],
+        [v for name in joints for v in velocities[name]],
+        [a for name, a in zip(owners, activations, strict=True) if name in left],
     )
-    return [x for name in joints for x in positions[name]], [v for name in joints for v in velocities[name]]
 
 
 def _find_keyframe(model: mujoco.MjModel, name: str) -> int:

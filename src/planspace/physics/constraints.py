@@ -74,8 +74,8 @@ class Constraints:
             step = np.zeros(space.tangent_size)
             if np.abs(residual).max(initial=0.0) < 0.1 * TOLERANCE:
                 if not space.kinematic:
-                    velocity = projected[space.num_positions :]
-                    step[space.num_dofs :] = -np.linalg.pinv(jacobian[:, dofs]) @ jacobian[:, dofs] @ velocity
+                    velocity, j = projected[space.velocities], jacobian[:, dofs]
+                    step[space.tangent_velocities] = -np.linalg.pinv(j) @ j @ velocity
                 return space.integrate(projected, step)
             step[: space.num_dofs] = -np.linalg.pinv(jacobian[:, dofs], rcond=1e-6) @ residual
             projected = space.integrate(projected, step)
@@ -106,6 +106,6 @@ class Constraints:
 
     def _forward(self, state: np.ndarray) -> None:
         mujoco.mj_resetData(self._model, self._data)
-        self._space.write(state, self._data.qpos, self._data.qvel)
+        self._space.write(state, self._data.qpos, self._data.qvel, self._data.act)
         with stepping():
             mujoco.mj_fwdPosition(self._model, self._data)

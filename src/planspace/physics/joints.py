@@ -116,6 +116,31 @@ def _has_servo(model: mujoco.MjModel, transmission: mujoco.mjtTrn, target: int) 
     return bool((of_target & by_length).any())
 
 
+def numbers_of(
+    joints: Sequence[str], kinds: Sequence[Kind]
+) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Return the name and unit of each position of some joints, and of each velocity."""
+    positions, velocities = [], []
+    for name, numbers in zip(joints, (NUMBERS[kind] for kind in kinds), strict=True):
+        own = [name + part for part in numbers.positions]
+        positions += zip(own, numbers.position_units, strict=True)
+        own = [f"{name}{part}vel" for part in numbers.velocities]
+        velocities += zip(own, numbers.velocity_units, strict=True)
+    return positions, velocities
+
+
+def one_for_each(velocity_bound: float | Sequence[float], num: int) -> np.ndarray:
+    """Return a bound for each of `num` velocities from one for all or one for each.
+
+    Raises:
+        UsageError: there is another number of bounds.
+    """
+    bound = np.asarray(velocity_bound, dtype=float)
+    if bound.ndim and len(bound) != num:
+        raise UsageError(f"velocity_bound has {len(bound)} numbers; the joints have {num} velocities.")
+    return np.broadcast_to(bound, (num,)).copy()
+
+
 def qpos_indices(model: mujoco.MjModel, joint: int) -> list[int]:
     """Indices of a joint's positions in qpos."""
     count = len(NUMBERS[joint_kind(model, joint)].positions)
@@ -128,17 +153,30 @@ def qvel_indices(model: mujoco.MjModel, joint: int) -> list[int]:
     return [int(model.jnt_dofadr[joint]) + k for k in range(count)]
 
 
-def read_bounds(model: mujoco.MjModel, joint: int, given: PositionBounds) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper bound of each position of a joint.
+def read_bounds(
+    model: mujoco.MjModel, joints: Sequence[int], given: PositionBounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper bound of each position of some joints.
 
     Args:
         model: a compiled model.
-        joint: a joint's id.
+        joints: the joints' ids.
         given: the user's bounds; the narrower of these and the model's count.
 
     Raises:
-        UsageError: the user's bounds do not have the joint's number of positions.
+        UsageError: the user's bounds name another joint, or do not have the joint's number of positions.
     """
+    names = [model.joint(i).name for i in joints]
+    for name in given:
+        if name not in names:
+            raise unknown("joint in position_bounds", name, names)
+    bounds = [_read_bounds(model, i, given) for i in joints]
+    low, high = ([side[k] for side in bounds] for k in (0, 1))
+    return np.concatenate([np.empty(0), *low]), np.concatenate([np.empty(0), *high])
+
+
+def _read_bounds(model: mujoco.MjModel, joint: int, given: PositionBounds) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds of one joint."""
     kind, name = joint_kind(model, joint), model.joint(joint).name
     low = np.full(len(NUMBERS[kind].positions), -np.inf)
     high = -low

@@ -3,6 +3,10 @@
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
+from planspace.physics import quaternion
 from planspace.physics.joints import Kind
 
 
@@ -13,15 +17,16 @@ class Part(NamedTuple):
     """Its first index in a state."""
     tangent: int
     """Its first index in a tangent."""
-    kind: Literal["slide", "hinge", "circle", "rotation", "velocity"]
+    kind: Literal["slide", "hinge", "circle", "rotation", "velocity", "activation"]
 
 
-def state_layout(kinds: Sequence[Kind], num_velocities: int) -> tuple[Part, ...]:
-    """Return the parts of a state in order: positions joint by joint, then each velocity.
+def state_layout(kinds: Sequence[Kind], num_velocities: int, num_activations: int = 0) -> tuple[Part, ...]:
+    """Return the parts of a state in order: positions joint by joint, then velocities, then activations.
 
     Args:
         kinds: kinds of the joints.
         num_velocities: number of velocities in a state; 0 for a kinematic space.
+        num_activations: number of activations in a state.
     """
     parts: list[Part] = []
     s = t = 0
@@ -35,5 +40,37 @@ def state_layout(kinds: Sequence[Kind], num_velocities: int) -> tuple[Part, ...]
         else:
             parts.append(Part(s, t, kind))
             s, t = s + 1, t + 1
-    velocities = [Part(s + k, t + k, "velocity") for k in range(num_velocities)]
-    return tuple(parts + velocities)
+    parts += [Part(s + k, t + k, "velocity") for k in range(num_velocities)]
+    s, t = s + num_velocities, t + num_velocities
+    return tuple(parts + [Part(s + k, t + k, "activation") for k in range(num_activations)])
+
+
+def euclidean_features(
+    layout: Sequence[Part], states: Float[np.ndarray, "*batch state"], weights: Float[np.ndarray, " tangent"]
+) -> Float[np.ndarray, "*batch feature"]:
+    """Return states in a Euclidean space; see `StateSpace.features`."""
+    parts = []
+    for s, t, kind in layout:
+        if kind == "circle":
+            parts += [weights[t] * np.sin(states[..., s]), weights[t] * np.cos(states[..., s])]
+        elif kind == "rotation":
+            q = quaternion.nearest_sign(states[..., s : s + 4])
+            parts += [2.0 * weights[t : t + 3].mean() * q[..., k] for k in range(4)]
+        else:
+            parts.append(weights[t] * states[..., s])
+    return np.stack(parts, axis=-1)
+
+
+def mirrored_features(
+    layout: Sequence[Part], features: Float[np.ndarray, "*batch feature"]
+) -> list[Float[np.ndarray, "*batch feature"]]:
+    """Return features with every other combination of quaternion signs; see `StateSpace.mirrored`."""
+    images, column = [features], 0
+    for _, _, kind in layout:
+        if kind == "rotation":
+            for image in list(images):
+                flipped = image.copy()
+                flipped[..., column : column + 4] *= -1.0
+                images.append(flipped)
+        column += {"circle": 2, "rotation": 4}.get(kind, 1)
+    return images[1:]

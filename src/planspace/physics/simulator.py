@@ -85,6 +85,7 @@ class Simulator:
             self._batch = Batch(model, num, threads)
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
+        self._act = self._batch.bind("act")
         self._ctrl = self._batch.bind("ctrl")
         self._warmstart = self._batch.bind("qacc_warmstart")
         if validity.forbidden_contacts != "none":
@@ -99,9 +100,9 @@ class Simulator:
     def reset(self, states: Float[np.ndarray, "sim state"], ids: np.ndarray | None = None) -> None:
         """Set the states of all simulations, or of those in `ids`, and clear the solver's warm start."""
         index = slice(None) if ids is None else ids
-        qpos, qvel = self._qpos[index], self._qvel[index]
-        self.space.write(states, qpos, qvel)
-        self._qpos[index], self._qvel[index] = qpos, qvel
+        qpos, qvel, act = self._qpos[index], self._qvel[index], self._act[index]
+        self.space.write(states, qpos, qvel, act)
+        self._qpos[index], self._qvel[index], self._act[index] = qpos, qvel, act
         self._warmstart[index] = 0.0
         self._batch.warning[index] = 0
 
@@ -125,17 +126,18 @@ class Simulator:
 
     def states(self) -> Float[np.ndarray, "sim state"]:
         """The states of all simulations."""
-        return self.space.read(self._qpos, self._qvel)
+        return self._read(len(self._qpos))
 
     def diverged(self) -> Bool[np.ndarray, " sim"]:
         """Whether each simulation has diverged since its reset: a MuJoCo warning, or a value not finite."""
         warned = self._batch.warning[:, _WARNINGS, 1].any(axis=1)
-        finite = np.isfinite(self._qpos).all(axis=1) & np.isfinite(self._qvel).all(axis=1)
+        parts = (self._qpos, self._qvel, self._act)
+        finite = np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
         return warned | ~finite
 
     def allowed(self, num: int) -> Bool[np.ndarray, " sim"]:
         """Whether the current state of each of the first `num` simulations is valid."""
-        states = self.space.read(self._qpos[:num], self._qvel[:num])
+        states = self._read(num)
         allowed = self.space.in_bounds(states)
         if self.validity.forbidden_contacts != "none":
             contacts = self._contacts[:num]
@@ -190,10 +192,14 @@ class Simulator:
             moving = every[: np.searchsorted(-sorted_durations, -step, side="left")]
             self.step(controls[order[: len(moving)]], stride, ids=moving)
             valid[: len(moving)] &= self.allowed(len(moving))
-        ends = self.space.read(self._qpos[:n], self._qvel[:n])
+        ends = self._read(n)
         valid &= ~self._batch.warning[:n, :, 1].any(axis=1)  # any kind, not only divergence
         inverse = np.argsort(order, kind="stable")
         return ends[inverse], valid[inverse]
+
+    def _read(self, num: int) -> Float[np.ndarray, "sim state"]:
+        """The states of the first `num` simulations."""
+        return self.space.read(self._qpos[:num], self._qvel[:num], self._act[:num])
 
 
 def control_bounds(model: mujoco.MjModel, space: StateSpace) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """The state space of some joints of a MuJoCo model.
 
-A state is the positions of the chosen joints, as in qpos, followed by their velocities, as in qvel:
+A state is the positions of the chosen joints, as in qpos, followed by their velocities, as in qvel, and by
+the activations of all actuators, as in act:
 
     slide, limited hinge    R, bounded           1 position,  1 velocity
     unlimited hinge         SO(2), an angle      1 position,  1 velocity
@@ -8,8 +9,8 @@ A state is the positions of the chosen joints, as in qpos, followed by their vel
     free                    SE(3)                7 positions, 6 velocities (linear first)
 
 Differences, steps and weights live in the tangent space. A tangent has one number per velocity for the
-positions, followed by one number per velocity for the velocities. A rotation is a rotation vector [rad] in
-the body's frame there. For slides and hinges, states and tangents have the same numbers.
+positions, followed by one number per velocity for the velocities, then the activations. A rotation is a
+rotation vector [rad] in the body's frame there. All other numbers are the same in states and tangents.
 """
 
 from collections.abc import Sequence
@@ -20,21 +21,22 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from planspace.errors import UsageError, unknown
 from planspace.physics import quaternion
+from planspace.physics.activations import NO_ACTIVATIONS, Activations, read_activations
 from planspace.physics.angles import wrap
 from planspace.physics.joints import (
-    NUMBERS,
     Kind,
     PositionBounds,
     find_joint,
     joint_kind,
+    numbers_of,
+    one_for_each,
     qpos_indices,
     qvel_indices,
     read_ball_range,
     read_bounds,
 )
-from planspace.physics.layout import Part, state_layout
+from planspace.physics.layout import Part, euclidean_features, mirrored_features, state_layout
 
 DEFAULT_VELOCITY_BOUND = 50.0
 """Bound on velocities [m/s, rad/s]; that of the 2020 planning problems."""
@@ -42,7 +44,7 @@ DEFAULT_VELOCITY_BOUND = 50.0
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Positions and velocities of some joints of a model, and their geometry."""
+    """Positions and velocities of some joints of a model, its activations, and their geometry."""
 
     joints: tuple[str, ...]
     """Names of the joints in the model."""
@@ -62,6 +64,8 @@ class StateSpace:
     """Index of each velocity in qvel."""
     kinematic: bool = False
     """Whether a state has positions only, and velocities are the controls."""
+    activations: Activations = NO_ACTIVATIONS
+    """Names and ranges of the activations; empty for a kinematic space."""
 
     @classmethod
     def from_model(
@@ -81,28 +85,25 @@ class StateSpace:
             velocity_bound: bound on the absolute value of every velocity [m/s or rad/s], or one for each.
             position_bounds: bounds of joints that the model leaves unlimited: low and high, one number for a
                 slide, three for a free joint [m].
-            kinematic: leave the velocities out.
+            kinematic: leave the velocities and the activations out.
 
         Raises:
             UsageError: a joint is not in the model, or a bound does not fit it.
         """
         ids = [find_joint(model, name) for name in joints]
-        given = position_bounds or {}
-        for name in given:
-            if name not in joints:
-                raise unknown("joint in position_bounds", name, joints)
-        bounds = [read_bounds(model, i, given) for i in ids]
+        low, high = read_bounds(model, ids, position_bounds or {})
         qvel = [k for i in ids for k in qvel_indices(model, i)]
         return cls(
             joints=tuple(joints),
             kinds=tuple(joint_kind(model, i) for i in ids),
-            low=np.concatenate([np.empty(0), *(low for low, _ in bounds)]),
-            high=np.concatenate([np.empty(0), *(high for _, high in bounds)]),
+            low=low,
+            high=high,
             ball_range=tuple(read_ball_range(model, i) for i in ids),
-            velocity_bound=_one_for_each(velocity_bound, len(qvel)),
+            velocity_bound=one_for_each(velocity_bound, len(qvel)),
             qpos_index=tuple(k for i in ids for k in qpos_indices(model, i)),
             qvel_index=tuple(qvel),
             kinematic=kinematic,
+            activations=NO_ACTIVATIONS if kinematic else read_activations(model),
         )
 
     @property
@@ -116,29 +117,45 @@ class StateSpace:
         return len(self.qvel_index)
 
     @property
+    def num_activations(self) -> int:
+        """Number of activations; 0 if no actuator has one."""
+        return len(self.activations.names)
+
+    @property
     def size(self) -> int:
         """Number of values in a state."""
-        return self.num_positions + (0 if self.kinematic else self.num_dofs)
+        return self.num_positions + (0 if self.kinematic else self.num_dofs) + self.num_activations
 
     @property
     def tangent_size(self) -> int:
         """Number of values in a tangent."""
-        return self.num_dofs * (1 if self.kinematic else 2)
+        return self.num_dofs * (1 if self.kinematic else 2) + self.num_activations
+
+    @property
+    def velocities(self) -> slice:
+        """The velocities in a state."""
+        return slice(self.num_positions, self.size - self.num_activations)
+
+    @property
+    def tangent_velocities(self) -> slice:
+        """The velocities in a tangent."""
+        return slice(self.num_dofs, self.tangent_size - self.num_activations)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each value in a state: the joints, then the joints with `vel` appended."""
-        pairs = list(zip(self.joints, self.kinds, strict=True))
-        positions = [name + part for name, kind in pairs for part in NUMBERS[kind].positions]
-        velocities = [f"{name}{part}vel" for name, kind in pairs for part in NUMBERS[kind].velocities]
-        return tuple(positions if self.kinematic else positions + velocities)
+        """Name of each value in a state: the joints, the joints with `vel` appended, the activations."""
+        return tuple(name for name, _ in self._numbers)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each value in a state; a quaternion has none."""
-        positions = [unit for kind in self.kinds for unit in NUMBERS[kind].position_units]
-        velocities = [unit for kind in self.kinds for unit in NUMBERS[kind].velocity_units]
-        return tuple(positions if self.kinematic else positions + velocities)
+        """Unit of each value in a state; a quaternion and an activation have none."""
+        return tuple(unit for _, unit in self._numbers)
+
+    @cached_property
+    def _numbers(self) -> list[tuple[str, str]]:
+        positions, velocities = numbers_of(self.joints, self.kinds)
+        activations = [(name, "") for name in self.activations.names]
+        return [*positions, *([] if self.kinematic else velocities), *activations]
 
     @cached_property
     def circular_columns(self) -> tuple[int, ...]:
@@ -156,14 +173,6 @@ class StateSpace:
         pairs = zip(self._plain_states, self._plain_tangents, strict=True)
         finite = np.isfinite(self.low) | np.isfinite(self.high)
         return tuple((s, t) for s, t in pairs if s < self.num_positions and finite[s])
-
-    @cached_property
-    def unbounded(self) -> tuple[int, ...]:
-        """Indices of positions without bounds that are neither on a circle nor part of a rotation."""
-        plain = [s for s, _, kind in self.layout if kind in ("slide", "hinge")]
-        return tuple(s for s in plain if not (np.isfinite(self.low[s]) and np.isfinite(self.high[s])))
-
-    # --- geometry ---------------------------------------------------------------------------------------
 
     def difference(
         self, a: Float[np.ndarray, "*batch state"], b: Float[np.ndarray, "*batch2 state"]
@@ -211,16 +220,22 @@ class StateSpace:
         self,
         a: Float[np.ndarray, "*batch state"],
         b: Float[np.ndarray, "*batch2 state"],
-        weights: Float[np.ndarray, " tangent"] | float = 1.0,
+        weights: Float[np.ndarray, " tangent"] | None = None,
     ) -> Float[np.ndarray, "*batch3"]:
-        """Weighted sum of absolute differences, the goal distance of the 2020 problems."""
+        """Weighted sum of absolute differences, by default with `goal_weights`."""
+        weights = self.goal_weights if weights is None else weights
         return np.asarray(np.sum(np.abs(self.difference(a, b)) * weights, axis=-1))
+
+    @property
+    def goal_weights(self) -> Float[np.ndarray, " tangent"]:
+        """Default weights of the distance to a goal: 1, as in the 2020 problems, and 0 for activations."""
+        return np.repeat([1.0, 0.0], [self.tangent_size - self.num_activations, self.num_activations])
 
     def default_weights(self, speed: Float[np.ndarray, " dof"]) -> Float[np.ndarray, " tangent"]:
         """Weights for the neighbour search that scale every value by its range.
 
-        A bounded position is weighted by 2 / range and a velocity by 1 / speed, so that each spans 2. An
-        angle on a circle or in a rotation has weight 1 per radian, so that its circle has diameter 2.
+        A bounded position or activation is weighted by 2 / range and a velocity by 1 / speed, so that each
+        spans 2. An angle on a circle or in a rotation has weight 1 per radian: its circle has diameter 2.
 
         Args:
             speed: bounds on the absolute values of the velocities that are explored [m/s or rad/s].
@@ -228,7 +243,9 @@ class StateSpace:
         positions = np.ones(self.num_dofs)
         for s, t in self.bounded:
             positions[t] = 2.0 / (self.high[s] - self.low[s])
-        return positions if self.kinematic else np.concatenate([positions, 1.0 / speed])
+        if self.kinematic:
+            return positions
+        return np.concatenate([positions, 1.0 / speed, self.activations.weights])
 
     def features(
         self, states: Float[np.ndarray, "*batch state"], weights: Float[np.ndarray, " tangent"]
@@ -239,54 +256,44 @@ class StateSpace:
         two, so that small rotations keep their length. Other values stay. Each is multiplied by its weight.
         Near w = 0 a rotation also has neighbours of the other sign: search for `mirrored` features too.
         """
-        parts = []
-        for s, t, kind in self.layout:
-            if kind == "circle":
-                parts += [weights[t] * np.sin(states[..., s]), weights[t] * np.cos(states[..., s])]
-            elif kind == "rotation":
-                q = quaternion.nearest_sign(states[..., s : s + 4])
-                parts += [2.0 * weights[t : t + 3].mean() * q[..., k] for k in range(4)]
-            else:
-                parts.append(weights[t] * states[..., s])
-        return np.stack(parts, axis=-1)
+        return euclidean_features(self.layout, states, weights)
 
     def mirrored(
         self, features: Float[np.ndarray, "*batch feature"]
     ) -> list[Float[np.ndarray, "*batch feature"]]:
         """The same features with every other combination of quaternion signs; see `features`."""
-        images, column = [features], 0
-        for _, _, kind in self.layout:
-            if kind == "rotation":
-                for image in list(images):
-                    flipped = image.copy()
-                    flipped[..., column : column + 4] *= -1.0
-                    images.append(flipped)
-            column += {"circle": 2, "rotation": 4}.get(kind, 1)
-        return images[1:]
+        return mirrored_features(self.layout, features)
 
     def sample(
         self, rng: np.random.Generator, num: int, speed: Float[np.ndarray, " dof"]
     ) -> Float[np.ndarray, "num state"]:
         """Draw states uniformly within the bounds, with velocities between `-speed` and `speed`."""
-        states = np.empty((num, self.size))
-        for s, t, kind in self.layout:
+        states, (low, high) = np.empty((num, self.size)), self.ranges(speed)
+        for s, _, kind in self.layout:
             if kind == "circle":
                 states[:, s] = rng.uniform(-np.pi, np.pi, num)
             elif kind == "rotation":
                 states[:, s : s + 4] = quaternion.sample(rng, num)
-            elif s < self.num_positions:
-                states[:, s] = rng.uniform(self.low[s], self.high[s], num)
             else:
-                bound = speed[t - self.num_dofs]
-                states[:, s] = rng.uniform(-bound, bound, num)
+                states[:, s] = rng.uniform(low[s], high[s], num)
         return states
+
+    def ranges(
+        self, speed: Float[np.ndarray, " dof"]
+    ) -> tuple[Float[np.ndarray, " state"], Float[np.ndarray, " state"]]:
+        """Lower and upper bound of each value in a state, with velocities between `-speed` and `speed`."""
+        if self.kinematic:
+            return self.low, self.high
+        low, high = self.activations.low, self.activations.high
+        return np.concatenate([self.low, -speed, low]), np.concatenate([self.high, speed, high])
 
     def in_bounds(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Whether each state is finite and within joint limits and velocity bounds."""
-        positions, velocities = np.split(states, [self.num_positions], axis=-1)
+        positions, velocities = states[..., : self.num_positions], states[..., self.velocities]
         inside = ((positions >= self.low) & (positions <= self.high)).all(axis=-1)  # False for NaN
         if not self.kinematic:
             inside = inside & (np.abs(velocities) <= self.velocity_bound).all(axis=-1)
+        inside = inside & np.isfinite(states[..., self.velocities.stop :]).all(axis=-1)  # MuJoCo limits them
         for (s, _), limit in zip(self._rotations, self._rotation_ranges, strict=True):
             if np.isfinite(limit):
                 angle = np.linalg.norm(quaternion.log(states[..., s : s + 4]), axis=-1)
@@ -300,25 +307,26 @@ class StateSpace:
             states[..., s : s + 4] = quaternion.normalise(states[..., s : s + 4])
         return states
 
-    # --- reading from and writing to MuJoCo -------------------------------------------------------------
+    def write(
+        self, states: Float[np.ndarray, "*batch state"], qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray
+    ) -> None:
+        """Write states into arrays shaped like MuJoCo's qpos, qvel and act, in place."""
+        qpos[..., list(self.qpos_index)] = states[..., : self.num_positions]
+        qvel[..., list(self.qvel_index)] = 0.0 if self.kinematic else states[..., self.velocities]
+        if self.num_activations:
+            act[...] = states[..., -self.num_activations :]
 
-    def write(self, states: Float[np.ndarray, "*batch state"], qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Write states into arrays shaped like MuJoCo's qpos and qvel, in place."""
-        n = self.num_positions
-        qpos[..., list(self.qpos_index)] = states[..., :n]
-        qvel[..., list(self.qvel_index)] = 0.0 if self.kinematic else states[..., n:]
-
-    def read(self, qpos: np.ndarray, qvel: np.ndarray) -> Float[np.ndarray, "*batch state"]:
-        """Read states from arrays shaped like MuJoCo's qpos and qvel."""
+    def read(self, qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray) -> Float[np.ndarray, "*batch state"]:
+        """Read states from arrays shaped like MuJoCo's qpos, qvel and act."""
         positions = qpos[..., list(self.qpos_index)]
         if self.kinematic:
             return positions
-        return np.concatenate([positions, qvel[..., list(self.qvel_index)]], axis=-1)
+        return np.concatenate([positions, qvel[..., list(self.qvel_index)], act], axis=-1)
 
     @cached_property
     def layout(self) -> tuple[Part, ...]:
-        """The parts of a state in order: positions joint by joint, then each velocity."""
-        return state_layout(self.kinds, 0 if self.kinematic else self.num_dofs)
+        """The parts of a state in order: positions joint by joint, then velocities, then activations."""
+        return state_layout(self.kinds, 0 if self.kinematic else self.num_dofs, self.num_activations)
 
     @cached_property
     def _rotations(self) -> tuple[tuple[int, int], ...]:
@@ -340,10 +348,3 @@ class StateSpace:
     @cached_property
     def _circular_tangents(self) -> list[int]:
         return [t for _, t, kind in self.layout if kind == "circle"]
-
-
-def _one_for_each(velocity_bound: float | Sequence[float], num: int) -> Float[np.ndarray, " dof"]:
-    bound = np.asarray(velocity_bound, dtype=float)
-    if bound.ndim and len(bound) != num:
-        raise UsageError(f"velocity_bound has {len(bound)} numbers; the joints have {num} velocities.")
-    return np.broadcast_to(bound, (num,)).copy()

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from planspace.errors import UsageError
+from planspace.physics.activations import DYNAMICS
 
 
 def check_supported(model: mujoco.MjModel) -> None:
@@ -18,11 +19,13 @@ def check_supported(model: mujoco.MjModel) -> None:
             f"the model has the flexible body {name!r}, which is not part of the state; remove "
             "it, or build it from rigid bodies."
         )
-    if model.na:
-        number = int(np.flatnonzero(model.actuator_dyntype != int(mujoco.mjtDyn.mjDYN_NONE))[0])
+    known = np.isin(model.actuator_dyntype, list(DYNAMICS)) & (model.actuator_plugin < 0)
+    unknown = np.flatnonzero((model.actuator_actnum > 0) & ~known)
+    if len(unknown):
         raise UsageError(
-            f"{_actuator(model, number)} has an activation (a filter or a muscle), which is not part of the "
-            'state; replace it by a <motor>, a <position> or a <general dyntype="none">.'
+            f"{_actuator(model, int(unknown[0]))} has an activation of another kind (a plugin, or dyntype "
+            f'"user", "pid" or "dcmotor"), which planspace cannot simulate; the kinds that it can are '
+            f"{', '.join(DYNAMICS.values())}."
         )
     delayed = np.flatnonzero(model.actuator_delay) if model.nhistory else []
     if len(delayed):

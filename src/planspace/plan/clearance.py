@@ -49,7 +49,7 @@ class Clearance:
         self._space = space
         self._batch = Batch(model, BATCH, threads)
         self._sensors = self._batch.bind("sensordata")
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._parts = [self._batch.bind(name) for name in ("qpos", "qvel", "act")]
 
     def distances(self, states: Float[np.ndarray, "step state"]) -> Float[np.ndarray, "step pair"]:
         """The distance of every pair in each state [m]: negative if they overlap, at most `REACH`."""
@@ -59,8 +59,7 @@ class Clearance:
         for first in range(0, len(states), BATCH):
             part = states[first : first + BATCH]
             ids = np.arange(len(part), dtype=np.int32)
-            qpos, qvel = self._qpos[: len(part)], self._qvel[: len(part)]
-            self._space.write(part, qpos, qvel)
+            self._space.write(part, *(array[: len(part)] for array in self._parts))
             self._batch.forward(ids=ids, stage=int(mujoco.mjtStage.mjSTAGE_POS))
             found[first : first + BATCH] = self._sensors[: len(part), -self.num_pairs :]
         return found

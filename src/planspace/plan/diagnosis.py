@@ -60,7 +60,7 @@ def _cause(simulator: Simulator, state: np.ndarray, diverged: bool) -> str:
     space = simulator.space
     if diverged or not np.isfinite(state).all():
         return "diverge (a smaller time step helps)"
-    positions, velocities = np.split(state, [space.num_positions])
+    positions, velocities = state[: space.num_positions], state[space.velocities]
     outside = np.flatnonzero((positions < space.low) | (positions > space.high))
     if len(outside):
         return f"leave the range of {space.names[outside[0]]}"

@@ -6,16 +6,22 @@
 """
 
 import contextlib
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import lsq_linear
 
+from planspace.mjcf.hold import activated
+from planspace.physics.activations import INTEGRATOR
 from planspace.physics.simulator import Simulator
+from planspace.physics.space import StateSpace
+from planspace.tasks.problem import Goal
 
 NUDGE = 1e-6
-"""Half of the width of the differences. At a bound, where MuJoCo clips controls, they are moved only
-inwards."""
+"""Half of the width of the differences. At a bound, where MuJoCo clips them, controls and activations are
+moved only inwards."""
 EQUILIBRIUM_ITERATIONS = 5
 
 
@@ -39,16 +45,29 @@ def along(
     space, count = simulator.space, len(states)
     n, m = space.tangent_size, controls.shape[1]
     nudges = np.concatenate([np.eye(n + m), -np.eye(n + m)]) * NUDGE
-    starts = space.integrate(states[:, None], nudges[None, :, :n])
+    starts = _within_limits(space, states, space.integrate(states[:, None], nudges[None, :, :n]))
     held = np.clip(controls[:, None] + nudges[None, :, n:], simulator.control_low, simulator.control_high)
     ends = _step_all(simulator, starts.reshape(-1, space.size), held.reshape(-1, m), num_steps)
     ends = ends.reshape(count, 2, n + m, space.size)
     change = space.difference(ends[:, 0], ends[:, 1])
-    state_part = change[:, :n] / (2 * NUDGE)
+    width = np.full((count, n), 2 * NUDGE)
+    k = space.num_activations
+    moved = starts.reshape(count, 2, n + m, space.size)[:, :, n - k : n, space.size - k :]
+    width[:, n - k :] = np.einsum("kii->ki", moved[:, 0] - moved[:, 1])  # half as wide at a limit
+    state_part = change[:, :n] / np.maximum(width, 0.5 * NUDGE)[..., None]
     applied = held.reshape(count, 2, n + m, m)[:, :, n:]
     width = np.einsum("kii->ki", applied[:, 0] - applied[:, 1])  # half as wide at a bound
     control_part = change[:, n:] / np.maximum(width, 0.5 * NUDGE)[..., None]
     return state_part.transpose(0, 2, 1), control_part.transpose(0, 2, 1)
+
+
+def _within_limits(space: StateSpace, states: np.ndarray, nudged: np.ndarray) -> np.ndarray:
+    """The nudged states with activations moved only inwards at a limit, where MuJoCo clips them."""
+    first = space.velocities.stop
+    now = states[:, None, first:]
+    low, high = np.minimum(space.activations.low, now), np.maximum(space.activations.high, now)
+    nudged[..., first:] = np.clip(nudged[..., first:], low, high)
+    return nudged
 
 
 def sensitivities(
@@ -101,20 +120,63 @@ def equilibrium_control(
     return control
 
 
+def at_rest(simulator: Simulator, goal: Goal) -> Goal:
+    """The goal with the activations at its centre under which the state changes least.
+
+    Only activations that are free in the goal are changed. They are found together with the control, by
+    Gauss-Newton steps within the bounds of both.
+
+    Args:
+        simulator: any number of simulations; overwritten.
+        goal: the goal.
+    """
+    space = simulator.space
+    first = space.tangent_velocities.stop
+    free = np.flatnonzero(goal.weights[first:] == 0)
+    if not len(free):
+        return goal
+    states, tangents = space.velocities.stop + free, first + free
+    low = np.concatenate([space.activations.low[free], simulator.control_low])
+    high = np.concatenate([space.activations.high[free], simulator.control_high])
+    center, inputs = goal.center.copy(), _forceless_inputs(simulator, goal.center)
+    found = np.concatenate(
+        [inputs[activated(simulator.model)[free]], forceless_control(simulator, goal.center)]
+    )
+    found = np.clip(found, low, high)
+    for _ in range(EQUILIBRIUM_ITERATIONS):
+        center[states], control = np.split(found, [len(free)])
+        a, b = along(simulator, center[None], control[None])
+        moved = space.difference(_step_all(simulator, center[None], control[None], 1)[0], center)
+        slopes = np.hstack([(a[0] - np.eye(space.tangent_size))[:, tangents], b[0]])
+        change = lsq_linear(slopes, -moved, bounds=(low - found, high - found), method="bvls").x
+        found = np.clip(found + change, low, high)
+    center[states] = found[: len(free)]
+    return replace(goal, center=center)
+
+
 def forceless_control(
     simulator: Simulator, state: Float[np.ndarray, " state"]
 ) -> Float[np.ndarray, " control"]:
-    """The control within bounds at which each actuator exerts no force in a state; 0 for a motor."""
+    """The control within bounds at which each actuator exerts no force in a state; 0 for a motor.
+
+    A filter would have settled at this control. An integrator gets 0, at which its activation stays.
+    """
     low, high = simulator.control_low, simulator.control_high
     if simulator.space.kinematic:
         return np.clip(np.zeros(len(low)), low, high)
+    integrates = simulator.model.actuator_dyntype == INTEGRATOR
+    return np.clip(np.where(integrates, 0.0, _forceless_inputs(simulator, state)), low, high)
+
+
+def _forceless_inputs(simulator: Simulator, state: np.ndarray) -> np.ndarray:
+    """The input of each actuator's force, its activation or else its control, at which it exerts none."""
     simulator.reset(state[None], np.zeros(1, dtype=np.int32))
     data, model = simulator.mujoco_data(0), simulator.model
     length, speed = data.actuator_length, data.actuator_velocity
     gain, bias = (_affine(terms, length, speed) for terms in (model.actuator_gainprm, model.actuator_biasprm))
     has_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     usable = has_bias & (model.actuator_gaintype <= int(mujoco.mjtGain.mjGAIN_AFFINE)) & (gain != 0)
-    return np.clip(np.where(usable, -bias / np.where(usable, gain, 1.0), 0.0), low, high)
+    return np.where(usable, -bias / np.where(usable, gain, 1.0), 0.0)
 
 
 def _affine(terms: np.ndarray, length: np.ndarray, speed: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from planspace.physics.space import StateSpace
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig
 from planspace.plan.durations import num_steps
+from planspace.plan.linearise import at_rest
 from planspace.plan.planner import Failure, Plan, search
 from planspace.plan.polish import Polish
 from planspace.plan.proof import replay_plan
@@ -99,7 +100,7 @@ class Pipeline:
     def _draw(self, rng: np.random.Generator) -> tuple[np.ndarray, Goal]:
         """A start and a goal; the start does not lie in the goal region."""
         start = self.problem.draw_start(self.simulator, rng)
-        goal = self.problem.draw_goal(self.space, rng, self.simulator)
+        goal = at_rest(self.simulator, self.problem.draw_goal(self.space, rng, self.simulator))
         for _ in range(MAX_REDRAWS):
             if not goal.reached(start):
                 break
@@ -168,7 +169,7 @@ class Pipeline:
 def _regulated_steps(query: Query, controls: np.ndarray) -> np.ndarray:
     """What the regulator does in the steps after a plan."""
     data = mujoco.MjData(query.model)
-    query.space.write(query.start, data.qpos, data.qvel)
+    query.space.write(query.start, data.qpos, data.qvel, data.act)
     state = query.start
     for control in controls:
         state = advance(query.model, data, query.space, control)

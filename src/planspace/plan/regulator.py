@@ -45,7 +45,7 @@ class Regulator:
         a, b = linearise.along(simulator, goal.center[None], self.hold_control[None], self.stride)
         effort = np.diag(config.control_cost / (0.5 * (self._high - self._low)) ** 2)
         cost = np.asarray(weights, dtype=float) ** 2
-        cost[space.num_dofs :] *= config.velocity_cost
+        cost[space.tangent_velocities] *= config.velocity_cost
         cost *= goal.weights > 0
         self.value, self.gain = np.diag(cost), np.zeros((len(effort), len(cost)))
         for discount in DISCOUNTS:  # if none works, states are ordered by distance and not steered

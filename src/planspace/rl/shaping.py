@@ -14,8 +14,11 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
+from planspace.physics.simulator import Simulator
+from planspace.plan.linearise import at_rest
 from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import ShapeFn
+from planspace.tasks.problem import Goal
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 
@@ -54,11 +57,11 @@ class Shaping:
         if config.shaping == "raw":
 
             def distance(states: np.ndarray) -> np.ndarray:
-                return norm(space.difference(states, goal))
+                return norm(space.difference(states, goal.center) * goal.weights)
 
             distances = (distance,)
         elif embeddings:
-            distances = tuple(_distance_in_z(embedding, space.names, goal) for embedding in embeddings)
+            distances = tuple(_distance_in_z(each, space.names, goal.center) for each in embeddings)
         else:
             raise UsageError("shaping by 'z' needs an embedding: give --embedding DIR.")
         return cls(task, distances, config.num_seeds, config.shaping_scale)
@@ -102,12 +105,17 @@ class Shaping:
         return [float(distance(starts).mean()) for distance in self.distances]
 
 
-def _goal(task: Task) -> Float[np.ndarray, " state"]:
-    """The goal of the task's planning problem."""
+def _goal(task: Task) -> Goal:
+    """The goal of the task's planning problem, with weight 0 for free activations and 1 for the rest."""
     if task.target_size:
         raise UsageError(f"shaping needs one goal, but {task.name} has another target in every episode.")
-    goal = load_problem(task.problem).goal
-    return (np.array(goal.low) + np.array(goal.high)) / 2
+    problem, space = load_problem(task.problem), task.space
+    box, weights = problem.box("goal", space), np.ones(space.tangent_size)
+    first = space.tangent_velocities.stop
+    weights[first:] = problem.weights_to_goal(space)[first:] > 0
+    center = (np.array(box.low) + np.array(box.high)) / 2
+    goal = Goal(space, center, np.zeros(space.tangent_size), weights, problem.tolerance)
+    return at_rest(Simulator(*problem.compile(), 1, threads=1), goal) if space.num_activations else goal
 
 
 def _distance_in_z(

@@ -31,7 +31,7 @@ def stick_film(demos: Demos) -> StickFilm:
     moving = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] != 0]
     poses = []
     for state in episode.states[which]:
-        space.write(state, data.qpos, data.qvel)
+        space.write(state, data.qpos, data.qvel, data.act)
         mujoco.mj_forward(model, data)
         poses.append([_ends(model, data, g) for g in moving])
     lines = np.array(poses)  # [pose, line, end, axis]

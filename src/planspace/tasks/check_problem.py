@@ -8,7 +8,7 @@ from planspace.physics.constraints import MAX_DEPTH, TOLERANCE, Constraints
 from planspace.physics.simulator import Simulator, control_bounds
 from planspace.physics.space import StateSpace
 from planspace.physics.supported import check_supported
-from planspace.tasks.problem import Goal, Problem
+from planspace.tasks.problem import Box, Goal, Problem
 
 
 def check_problem(problem: Problem, where: str) -> None:
@@ -45,7 +45,7 @@ def check_problem(problem: Problem, where: str) -> None:
     _check_limits(model, space, where)
     _check_goal(problem, model, space, where)
     try:
-        problem.task.check(space.names, space.num_dofs, space.tangent_size)
+        problem.task.check(space.names, space.num_dofs, space.tangent_size - space.num_activations)
         problem.task.horizon(model.opt.timestep)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
@@ -60,11 +60,25 @@ def _check_sizes(problem: Problem, space: StateSpace, where: str) -> None:
         ("sample_velocity", problem.sample_velocity, space.num_dofs),
     ]
     for key, got, wanted in sizes:
-        if len(got) not in ((wanted,) if key in ("start", "goal") else (0, wanted)):
-            raise PlanspaceError(f"{where}: {key} must have {wanted} numbers, got {len(got)}.")
-    for key, box in (("start", problem.start), ("goal", problem.goal)):
+        without = wanted if key == "sample_velocity" else wanted - space.num_activations
+        if len(got) not in ((wanted, without) if key in ("start", "goal") else (0, wanted, without)):
+            also = f", or {without} without the activations" if without < wanted else ""
+            raise PlanspaceError(f"{where}: {key} must have {wanted} numbers{also}, got {len(got)}.")
+    for key in ("start", "goal"):
+        box = problem.box(key, space)
         if not space.in_bounds(space.normalise(np.array([box.low, box.high]))).all():
             raise PlanspaceError(f"{where}: {key} reaches outside the joint limits or the velocity bound.")
+        _check_activations(key, box, space, where)
+
+
+def _check_activations(key: str, box: Box, space: StateSpace, where: str) -> None:
+    low, high = (np.array(side[space.velocities.stop :]) for side in (box.low, box.high))
+    names, least, most = space.activations
+    for i in np.flatnonzero((low < least) | (high > most)):
+        raise PlanspaceError(
+            f"{where}: {key}: {names[i]!r} must lie between {least[i]:g} and {most[i]:g}, as the model says; "
+            f"got {low[i]:g} to {high[i]:g}."
+        )
 
 
 def _check_limits(model: mujoco.MjModel, space: StateSpace, where: str) -> None:
@@ -74,9 +88,12 @@ def _check_limits(model: mujoco.MjModel, space: StateSpace, where: str) -> None:
         )
     if not np.isfinite(control_bounds(model, space)).all():
         raise PlanspaceError(f"{where}: an actuator has no control range; give control_bounds.")
-    free = [space.names[s] for s in space.unbounded]
+    low, high = space.ranges(space.velocity_bound)
+    free = [part for part in space.layout if part.kind in ("slide", "hinge", "activation")]
+    free = [part for part in free if not np.isfinite([low[part.state], high[part.state]]).all()]
     if free:
-        raise PlanspaceError(f"{where}: {free[0]!r} has no limits; give its joint position_bounds.")
+        what = "actuator an actrange" if free[0].kind == "activation" else "joint position_bounds"
+        raise PlanspaceError(f"{where}: {space.names[free[0].state]!r} has no limits; give its {what}.")
 
 
 def _check_goal(problem: Problem, model: mujoco.MjModel, space: StateSpace, where: str) -> None:

@@ -69,17 +69,19 @@ class Problem:
     joints: tuple[str, ...]
     """The joints that make the state, in order."""
     start: Box
-    """States where plans start [m, rad, m/s, rad/s]."""
+    """States where plans start [m, rad, m/s, rad/s]. Activations are 0 if it leaves them out."""
     goal: Box
-    """States where plans end."""
+    """States where plans end. Activations are free if it leaves them out."""
     tolerance: float
     """A state is at the goal if the weighted sum of its absolute differences from it is at most this."""
     goal_random: bool = False
     """Whether each plan gets one goal, drawn from the box; otherwise it may end anywhere in the box."""
     goal_weights: tuple[float, ...] = ()
-    """Weight of each number of a tangent in the distance to the goal; empty means 1 for all."""
+    """Weight of each number of a tangent in the distance to the goal; empty means 1 for all. It may leave out
+    the activations: their weight is 1 if `goal` has them, else 0."""
     feature_weights: tuple[float, ...] = ()
-    """Weight of each number of a tangent in nearest-neighbour search; empty means 1 / range."""
+    """Weight of each number of a tangent in nearest-neighbour search; empty means 1 / range. It may leave out
+    the activations."""
     sample_velocity: tuple[float, ...] = ()
     """Exploration draws each velocity within plus and minus these [m/s or rad/s]; empty means its bound."""
     velocity_bound: tuple[float, ...] = (DEFAULT_VELOCITY_BOUND,)
@@ -160,11 +162,23 @@ class Problem:
 
     def weights(self, space: StateSpace) -> Float[np.ndarray, " tangent"]:
         """Return the weights of nearest-neighbour search."""
-        return (
-            np.array(self.feature_weights)
-            if self.feature_weights
-            else space.default_weights(self.speed(space))
-        )
+        weights = space.default_weights(self.speed(space))
+        weights[: len(self.feature_weights)] = self.feature_weights
+        return weights
+
+    def weights_to_goal(self, space: StateSpace) -> Float[np.ndarray, " tangent"]:
+        """Return the weights of the distance to the goal."""
+        weights = space.goal_weights
+        if len(self.goal.low) == space.size:  # it has the activations
+            weights[:] = 1.0
+        weights[: len(self.goal_weights)] = self.goal_weights
+        return weights
+
+    def box(self, name: Literal["start", "goal"], space: StateSpace) -> Box:
+        """Return the box of starts or goals, with activations of 0 if it leaves them out."""
+        given: Box = getattr(self, name)
+        left_out = (0.0,) * (space.size - len(given.low))
+        return Box(given.low + left_out, given.high + left_out)
 
     def draw_start(self, simulator: Simulator, rng: np.random.Generator) -> Float[np.ndarray, " state"]:
         """Draw a valid start; it is moved to where the model's equalities hold.
@@ -172,8 +186,9 @@ class Problem:
         Raises:
             PlanspaceError: no draw was valid.
         """
+        box = self.box("start", simulator.space)
         for _ in range(START_DRAWS):
-            drawn = simulator.space.normalise(self.start.sample(rng))
+            drawn = simulator.space.normalise(box.sample(rng))
             if (start := _possible(simulator, drawn)) is not None:
                 return start
         raise PlanspaceError(
@@ -195,10 +210,10 @@ class Problem:
         Raises:
             PlanspaceError: no draw was valid.
         """
-        weights = np.array(self.goal_weights) if self.goal_weights else np.ones(space.tangent_size)
+        weights, box = self.weights_to_goal(space), self.box("goal", space)
         if self.goal_random:
             for _ in range(START_DRAWS):
-                drawn = space.normalise(self.goal.sample(rng))
+                drawn = space.normalise(box.sample(rng))
                 center = drawn if simulator is None else _possible(simulator, drawn)
                 if center is not None:
                     return Goal(space, center, np.zeros(space.tangent_size), weights, self.tolerance)
@@ -206,7 +221,7 @@ class Problem:
                 f"problem {self.name}: no valid goal in {START_DRAWS} draws: each was in collision or "
                 "rejected by the predicate."
             )
-        low, high = space.normalise(np.array(self.goal.low)), space.normalise(np.array(self.goal.high))
+        low, high = space.normalise(np.array(box.low)), space.normalise(np.array(box.high))
         half = 0.5 * _straight_difference(space, low, high)
         return Goal(space, space.integrate(low, half), half, weights, self.tolerance)
 

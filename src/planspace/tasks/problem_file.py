@@ -123,13 +123,14 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
 
 
 def _with_keyframes(settings: dict[str, Any], model: ModelSource, joints: Sequence[str]) -> dict[str, Any]:
-    """Replace a start or goal `{keyframe: NAME}` by the state of that keyframe."""
+    """Replace a start or goal `{keyframe: NAME}` by the state of the keyframe; a goal has no activations."""
     found = dict(settings)
     for key in ("start", "goal"):
         if isinstance(value := settings.get(key), dict) and list(value) == ["keyframe"]:
             name = values.read(value, "keyframe", values.text)
-            positions, velocities = read_keyframe(model, joints, name)
-            found[key] = positions if settings.get("kinematic") is True else positions + velocities
+            positions, velocities, activations = read_keyframe(model, joints, name)
+            state = positions + velocities + (activations if key == "start" else [])
+            found[key] = positions if settings.get("kinematic") is True else state
     return found
 
 

@@ -146,8 +146,8 @@ class GoalTask:
 
     @cached_property
     def _goal_weights(self) -> Float[np.ndarray, " tangent"]:
-        """The problem's weights without those of velocities, unless its goal has no positions."""
-        weights = np.array(self.problem.goal_weights or (1.0,) * self.space.tangent_size)
+        """The problem's weights of positions, or all of its weights if those are 0."""
+        weights = self.problem.weights_to_goal(self.space)
         positions = np.where(np.arange(len(weights)) < self.space.num_dofs, weights, 0.0)
         return positions if positions.any() else weights
 
@@ -217,12 +217,13 @@ def task_of_problem(problem: Problem) -> Task:
         )
     functions, settings = GoalTask(problem), problem.task
     _check_termination(problem)
+    start = problem.box("start", functions.space)
     return Task(
         name=re.sub(r"[^\w.-]", "-", problem.name) or "task",
         model=problem.source,
         joints=problem.joints,
-        start_low=problem.start.low,
-        start_high=problem.start.high,
+        start_low=start.low,
+        start_high=start.high,
         horizon=settings.horizon(functions.timestep),
         frame_skip=settings.frame_skip(functions.timestep),
         reward=functions.reward,

@@ -3,7 +3,7 @@
 A task is plain data plus functions, and anyone can make one in Python (docs/howto/own-task.md). Its functions
 take batches, so that one call serves all environments:
 
-    before, after   states [env, state]: joint positions, then joint velocities (see `physics.space`)
+    before, after   states [env, state]: joint positions, joint velocities, activations (see `physics.space`)
     control         what was applied, after clipping to the actuators' limits [env, control]
     target          the target of each episode [env, target]; [env, 0] for a task without targets
 

@@ -58,7 +58,7 @@ class OMPLQuery:
         """One subspace per part of the state, weighted as in our neighbour search; then the time."""
         base, weights = self.base, self.problem.weights(self.space)
         space = base.CompoundStateSpace()
-        speed = self.problem.speed(self.space)
+        low, high = self.space.ranges(self.problem.speed(self.space))
         for s, t, kind in self.parts:
             if kind == "circle":
                 part = base.SO2StateSpace()
@@ -67,10 +67,8 @@ class OMPLQuery:
             else:
                 part = base.RealVectorStateSpace(1)
                 bounds = base.RealVectorBounds(1)
-                positions = self.space.num_positions
-                reach = speed[t - self.space.num_dofs] if s >= positions else 0.0
-                bounds.setLow(float(self.space.low[s] if s < positions else -reach))
-                bounds.setHigh(float(self.space.high[s] if s < positions else reach))
+                bounds.setLow(float(low[s]))
+                bounds.setHigh(float(high[s]))
                 part.setBounds(bounds)
             space.addSubspace(part, float(weights[t]))
         clock = base.RealVectorStateSpace(1)
@@ -145,7 +143,7 @@ class OMPLQuery:
 
         def propagate(before: Any, action: Any, duration: float, after: Any) -> None:
             steps = max(1, round(duration / self.dt))
-            self.space.write(self.read(before), data.qpos, data.qvel)
+            self.space.write(self.read(before), data.qpos, data.qvel, data.act)
             data.qacc_warmstart[:] = 0.0
             reached = advance(model, data, self.space, np.array([action[i] for i in range(size)]), steps)
             self.write(reached, self.clock(before) + steps * self.dt, after)
