@@ -17,7 +17,7 @@ from planspace.plan.ompl import process
 from planspace.plan.ompl.planners import CONTROL_ALGORITHMS, GEOMETRIC_ALGORITHMS, OMPL
 from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import Plan
-from planspace.tasks.problem import Box
+from planspace.tasks.problem import Box, Problem
 from planspace.tasks.problem_file import load_problem
 
 needs_ompl = pytest.mark.skipif(importlib.util.find_spec("ompl") is None, reason="needs the extra ompl")
@@ -42,6 +42,25 @@ def test_every_control_planner_finds_an_easy_path(algorithm: str) -> None:
     times = np.arange(len(found.controls) + 1) * pipeline.model.opt.timestep
     states = replay(pipeline.model, pipeline.space, start, found.controls, times)
     assert goal.reached(states[-1:]).all()
+
+
+@pytest.mark.ompl
+@needs_ompl
+def test_a_path_with_activations() -> None:
+    model = """<mujoco><option timestep="0.01" gravity="0 0 0"/><worldbody><body>
+      <joint name="x" type="slide" axis="1 0 0" range="-1 1" damping="1"/><geom size="0.1" mass="1"/></body>
+      </worldbody><actuator><general joint="x" dyntype="filter" dynprm="0.1" gainprm="5" ctrlrange="-1 1"/>
+      </actuator></mujoco>"""
+    region = Box((0.5, 0.0), (0.5, 0.0))
+    problem = Problem("sled", model, ("x",), Box((0.0, 0.0), (0.0, 0.0)), region, 0.3, sample_velocity=(2.0,))
+    planner = OMPL("RRT", seconds=3.0)
+    pipeline = Pipeline(problem, PlanConfig(planner))
+    start, goal = np.zeros(3), problem.draw_goal(pipeline.space, np.random.default_rng(0))
+    found = planner.plan(pipeline.query(start, goal), np.random.default_rng(0))
+    assert isinstance(found, Plan), found
+    times = np.arange(len(found.controls) + 1) * pipeline.model.opt.timestep
+    states = replay(pipeline.model, pipeline.space, start, found.controls, times)
+    assert goal.reached(states[-1:]).all() and np.abs(states[:, 2]).max() > 0.1
 
 
 @pytest.mark.ompl

@@ -16,6 +16,8 @@ from planspace.rl.rollout import ShapeFn
 from planspace.rl.shaping import Shaping
 from planspace.rl.training import train_policies
 from planspace.tasks.catalog import TASKS
+from planspace.tasks.problem import Box, Problem
+from planspace.tasks.problem_task import task_of_problem
 
 TASK, GAMMA = TASKS["cartpole-swingup"], 0.99
 CONFIG = TrainConfig(obs="trig", shaping="z", shaping_scale=7.0, num_seeds=2, steps=2 * BATCH_STEPS)
@@ -144,3 +146,19 @@ def test_wrong_combinations_of_shaping_and_embedding_are_refused(
     with pytest.raises(UsageError, match="unknown reward type of cartpole '2020'"):
         train_policies("cartpole", TrainConfig(reward="2020"), out=tmp_path / "d")
     assert not any((tmp_path / name).exists() for name in "abcd")
+
+
+def test_activations_that_are_free_in_the_goal_do_not_count() -> None:
+    """The raw potential at the goal is 0 with any activation."""
+    model = """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-100 100"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.5"/></body></worldbody><actuator>
+      <general joint="j" dyntype="filter" dynprm="0.1" gainprm="3" ctrlrange="-1 1"/></actuator></mujoco>"""
+    box = Box((0.5, 0.0), (1.0, 0.0))
+    problem = Problem("arm", model, ("j",), box, Box((0.0, 0.0), (0.0, 0.0)), 0.1)
+    shaping = Shaping.of(replace(ALONE, shaping="raw"), task_of_problem(problem), ())
+    assert shaping is not None
+    shape = shaping.reward_fn(1.0, True)
+    goals, running = np.array([[0, 0, 0.0], [0, 0, 0.7]]), np.zeros(2, dtype=bool)
+    np.testing.assert_array_equal(shape(goals, goals[::-1], running, running), 0)
+    starts = np.array([[0.75, 0, 0.2]] * 2)
+    np.testing.assert_allclose(shape(starts, goals, running, running), 7.0, rtol=0.02)
