@@ -16,6 +16,7 @@ rotation vector [rad] in the body's frame there. All other numbers are the same 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -243,9 +244,8 @@ class StateSpace:
         positions = np.ones(self.num_dofs)
         for s, t in self.bounded:
             positions[t] = 2.0 / (self.high[s] - self.low[s])
-        if self.kinematic:
-            return positions
-        return np.concatenate([positions, 1.0 / speed, self.activations.weights])
+        weights = [positions, 1.0 / speed, self.activations.weights]
+        return positions if self.kinematic else np.concatenate(weights)
 
     def features(
         self, states: Float[np.ndarray, "*batch state"], weights: Float[np.ndarray, " tangent"]
@@ -282,9 +282,7 @@ class StateSpace:
         self, speed: Float[np.ndarray, " dof"]
     ) -> tuple[Float[np.ndarray, " state"], Float[np.ndarray, " state"]]:
         """Lower and upper bound of each value in a state, with velocities between `-speed` and `speed`."""
-        if self.kinematic:
-            return self.low, self.high
-        low, high = self.activations.low, self.activations.high
+        speed, (_, low, high) = speed[: 0 if self.kinematic else None], self.activations
         return np.concatenate([self.low, -speed, low]), np.concatenate([self.high, speed, high])
 
     def in_bounds(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
@@ -308,20 +306,21 @@ class StateSpace:
         return states
 
     def write(
-        self, states: Float[np.ndarray, "*batch state"], qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray
+        self, states: Float[np.ndarray, "*batch state"], qpos: np.ndarray, qvel: np.ndarray, act: Any = None
     ) -> None:
-        """Write states into arrays shaped like MuJoCo's qpos, qvel and act, in place."""
+        """Write states into arrays shaped like MuJoCo's qpos, qvel and, if there are activations, act."""
         qpos[..., list(self.qpos_index)] = states[..., : self.num_positions]
         qvel[..., list(self.qvel_index)] = 0.0 if self.kinematic else states[..., self.velocities]
         if self.num_activations:
             act[...] = states[..., -self.num_activations :]
 
-    def read(self, qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray) -> Float[np.ndarray, "*batch state"]:
-        """Read states from arrays shaped like MuJoCo's qpos, qvel and act."""
+    def read(self, qpos: np.ndarray, qvel: np.ndarray, act: Any = None) -> Float[np.ndarray, "*batch state"]:
+        """Read states from arrays shaped like MuJoCo's qpos, qvel and, if there are activations, act."""
         positions = qpos[..., list(self.qpos_index)]
         if self.kinematic:
             return positions
-        return np.concatenate([positions, qvel[..., list(self.qvel_index)], act], axis=-1)
+        velocities = qvel[..., list(self.qvel_index)]
+        return np.concatenate([positions, velocities, *([act] if self.num_activations else [])], axis=-1)
 
     @cached_property
     def layout(self) -> tuple[Part, ...]:
