@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 from planspace.envs import register_tasks
 
 if TYPE_CHECKING:
+    from planspace.control.config import ControlConfig as ControlConfig
+    from planspace.control.controller import Controller as Controller
     from planspace.demos.dataset import Demos as Demos
     from planspace.demos.load import load_demos as load_demos
     from planspace.embed.config import FitConfig as FitConfig
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from planspace.tasks.task import Task as Task
 
 _MODULE_OF = {
+    "ControlConfig": "planspace.control.config",
+    "Controller": "planspace.control.controller",
     "Demos": "planspace.demos.dataset",
     "Embedding": "planspace.embed.embedding",
     "FitConfig": "planspace.embed.config",

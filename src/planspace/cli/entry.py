@@ -35,6 +35,7 @@ VERBS = {
     "export": "Export the encoder of an embedding for programs without Python.",
     "train": "Train policies on a task, all seeds at once.",
     "curves": "Draw the learning curves of several runs in one figure.",
+    "control": "Steer a robot to its goal by looking ahead, with the distance in z as the cost.",
     "play": "Play a trained policy and film it.",
     "study": "Run a study: many embeddings and policies, statistics and a report.",
     "report": "Write the report of a `planspace run` again.",

@@ -46,10 +46,18 @@ class Support:
         Raises:
             PlanspaceError: a number is not finite.
         """
+        return self.distance(inputs) > self.radius
+
+    def distance(self, inputs: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch"]:
+        """Distance of each input from the nearest point, in standard deviations.
+
+        Raises:
+            PlanspaceError: a number is not finite.
+        """
         if not np.isfinite(inputs).all():
             raise PlanspaceError("a state contains a number that is not finite.")
         flat = (inputs / self.scale).reshape(-1, inputs.shape[-1])
-        return (_nearest(self.points, flat) > self.radius).reshape(inputs.shape[:-1])
+        return _nearest(self.points, flat).reshape(inputs.shape[:-1])
 
 
 def _nearest(points: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -1,0 +1,130 @@
+"""`planspace control`."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from planspace.cli.config_files import (
+    ConfigFile,
+    check_least,
+    given_config,
+    given_option,
+    load_or_name,
+    named_in_file,
+    with_settings,
+)
+from planspace.cli.tables import counted, print_json, print_values
+from planspace.control.config import ControlConfig
+from planspace.control.methods import METHODS
+from planspace.errors import UsageError, unknown
+from planspace.mjcf.assets import ASSETS
+from planspace.tasks.catalog import TASKS
+
+NAMES = sorted({*TASKS, *(path.stem for path in ASSETS.glob("*.yaml"))})
+HELP = f"One of {', '.join(NAMES)}; or the path of your own problem file. A name of both means the task."
+IN_TIME = 0.99
+"""Fraction of control steps above which a run counts as real time."""
+RECORDED = ("task", "task_sha256", "problem", "embedding", "seed", "episode_steps", "versions")
+"""What a run's config.json records besides settings."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """Steer a robot to its goal by looking ahead, with the distance in z as the cost.
+
+    No policy is trained and no reward is used: for each control, many candidates are simulated for a fraction
+    of a second, and what comes nearest to the goal in z is applied.
+    """
+
+    problem: Positional[
+        Annotated[str, arg(metavar="PROBLEM|TASK|FILE.yaml", help=HELP, help_behavior_hint="(required)")]
+    ] = ""
+    embedding: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """The embedding folder; needed for --cost z."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
+    """The run's folder. The same command continues an interrupted run; a larger --episodes adds to it."""
+    episodes: Annotated[int, arg(metavar="N")] = 10
+    """Number of episodes."""
+    episode_s: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: the task's)")] = None
+    """Length of an episode [s]."""
+    seed: int = 0
+    """Seed of starts, goals and samples."""
+    workers: Annotated[int, arg(metavar="N")] = 0
+    """Worker processes, each of which runs an episode on one core; 0 starts one for each CPU. The result does
+    not depend on this number."""
+    method: Annotated[str, arg(metavar="{" + ",".join(METHODS) + "}|module.py:NAME")] = "mppi"
+    """How samples become controls, or module.py:NAME for your own. Its settings are options, too."""
+    no_film: bool = False
+    """Do not film the episodes."""
+    json: bool = False
+    """Print JSON."""
+    config_file: ConfigFile = None
+    config: ControlConfig = field(default_factory=ControlConfig)
+
+    @classmethod
+    def default(cls, arguments: Sequence[str]) -> "Control":
+        """The defaults that --method and --config ask for."""
+        path, file = given_config(arguments)
+        method = given_option(arguments, "--method") or named_in_file(file, "method") or "mppi"
+        named = load_or_name(method)
+        if isinstance(named, str) and named not in METHODS:
+            raise unknown("method", named, METHODS)
+        config = ControlConfig(METHODS[named] if isinstance(named, str) else named)
+        if path is not None:
+            config = with_settings(config, file, path, ignored=RECORDED)
+        return cls(method=method, config=config)
+
+    def __call__(self) -> None:
+        """Control the episodes, film them, and print what they amount to."""
+        from planspace.control.costs import support_note
+        from planspace.control.plant import Plant
+        from planspace.control.runs import control_into
+        from planspace.embed.saved_embedding import load_embedding
+
+        if not self.problem:
+            raise UsageError(f"which problem? {HELP}")
+        if self.out is None:
+            raise UsageError("`--out DIR` is required: the folder of the run.")
+        check_least(self, episodes=1, workers=0, seed=0)
+        plant = Plant.find(load_or_name(self.problem))
+        embedding = None if self.embedding is None else load_embedding(self.embedding)
+        if embedding is not None and self.config.cost == "z" and (note := support_note(plant, embedding)):
+            print(note, file=sys.stderr)
+        found = control_into(
+            plant,
+            embedding,
+            self.config,
+            self.out,
+            num=self.episodes,
+            seed=self.seed,
+            episode_s=self.episode_s,
+            workers=self.workers or None,
+        )
+        film = None if self.no_film else self._film(self.out)
+        if self.json:
+            print_json(asdict(found))
+            return
+        print(f"{counted(found.episodes, 'episode')} in {self.out}")
+        print_values({key: value for key, value in asdict(found).items() if key != "episodes"})
+        if found.real_time < IN_TIME:
+            print(
+                f"{1 - found.real_time:.0%} of the controls took longer to compute than they lasted; "
+                "fewer --samples or a shorter --horizon-s are faster."
+            )
+        if film is not None:
+            print(film)
+
+    def _film(self, out: Path) -> Path:
+        """Film the first episodes, unless that was done before."""
+        from planspace.control.runs import EPISODES
+        from planspace.demos.load import load_demos
+        from planspace.demos.render import FilmConfig, render_demos
+
+        film = out / "film.gif"
+        if not film.exists():
+            render_demos(load_demos(out / EPISODES), film, FilmConfig(episodes=2, fps=20))
+        return film

@@ -1,0 +1,64 @@
+"""How a controller looks ahead: its settings, in one nested dataclass."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from planspace.control.method import PAGE, Method
+from planspace.control.methods import MPPI
+from planspace.control.splines import SplineOrder
+from planspace.errors import check_setting
+from planspace.seams import check_fits
+
+CostName = Literal["z", "reward", "raw"]
+"""What a controller minimises: the distance to the goal in z, minus the task's reward, or the distance of the
+standardised states, which are what the encoder reads."""
+
+
+@dataclass(frozen=True)
+class ControlConfig:
+    """How a controller looks ahead."""
+
+    method: Method = field(default_factory=MPPI)
+    """How sampled controls become better ones."""
+    horizon_s: float = 0.32
+    """How far it looks ahead [s], rounded to control steps."""
+    samples: int = 256
+    """Candidates in each round."""
+    cost: CostName = "z"
+    """What it minimises: `z`, the distance to the goal in the embedding; `reward`, minus the task's reward;
+    or `raw`, the distance to the goal in the standardised states that the embedding reads."""
+    knots: int = 4
+    """Knots of a candidate's spline."""
+    spline: SplineOrder = "linear"
+    """How controls run between knots."""
+    noise: float = 0.5
+    """Standard deviation of the candidates' knots, in halves of the control's range."""
+    noise_spread: float = 1.0
+    """The noise of each candidate is divided by a number between 1 and this, so that some act finely."""
+    noise_color: float = 0.0
+    """Exponent of the noise's spectrum over the knots: 0 is white, 2 is Brownian."""
+    cost_points: int = 4
+    """States of the horizon in which distances are measured, evenly spaced; the last is its end."""
+    terminal_weight: float = 2.5
+    """Weight of the distance at the end of the horizon, relative to the mean distance along it."""
+    effort_weight: float = 0.01
+    """Cost of the largest control along the whole horizon, relative to the mean distance from where
+    episodes start."""
+    invalid_cost: float = 10.0
+    """Cost of a horizon out of bounds or in a forbidden contact, in the same unit."""
+    regulator: bool = True
+    """Whether a linear regulator takes over where a simulation shows that it reaches and holds the goal."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            UsageError: a setting is out of its range, or the method does not fit the protocol `Method`.
+        """
+        check_fits(self.method, Method, PAGE)
+        check_setting("horizon_s", self.horizon_s, self.horizon_s > 0, "above 0")
+        for name in ("samples", "knots", "cost_points"):
+            check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
+        check_setting("noise", self.noise, self.noise > 0, "above 0")
+        for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
+            check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")

@@ -1,0 +1,163 @@
+"""The controller: looks ahead from the present state by simulation, and acts by the best it finds."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.control.config import ControlConfig
+from planspace.control.costs import Cost, make_cost, support_note
+from planspace.control.plant import Plant
+from planspace.control.splines import spline_matrix
+from planspace.control.takeover import Takeover
+from planspace.embed.embedding import Embedding
+from planspace.errors import UsageError
+from planspace.tasks.problem import Problem
+from planspace.tasks.task import Task
+
+
+class Controller:
+    """Receding-horizon control: `controller(state)` is the control for the next control step.
+
+    It remembers the controls that it planned, so call it once for each step, and `reset` it for an episode.
+    """
+
+    def __init__(
+        self,
+        problem: str | Path | Problem | Task | Plant,
+        embedding: Embedding | None = None,
+        config: ControlConfig | None = None,
+        *,
+        seed: int = 0,
+        threads: int = 0,
+    ):
+        """Compile the model and prepare the look-ahead.
+
+        Args:
+            problem: a planning problem or a task, or the name or file of either.
+            embedding: computes z; needed for the cost `z`.
+            config: the settings.
+            seed: seed of the samples.
+            threads: physics threads; 0 uses all CPUs. Results do not depend on it.
+
+        Raises:
+            UsageError: problem, embedding and settings do not fit together.
+        """
+        self.plant = Plant.find(problem)
+        self.config = config or ControlConfig()
+        self.embedding = embedding
+        self._simulator = self.plant.simulator(self.config.samples, threads)
+        low, high = self._simulator.control_low, self._simulator.control_high
+        if not (np.isfinite(low) & np.isfinite(high)).all():
+            raise UsageError(
+                "a control of the model has no limits, so that none can be sampled: give it a ctrlrange, or "
+                "control_bounds in the problem file."
+            )
+        self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
+        self._make_splines()
+        if (
+            embedding is not None
+            and self.config.cost == "z"
+            and (note := support_note(self.plant, embedding))
+        ):
+            warnings.warn(note, stacklevel=2)
+        self.reset(seed)
+
+    def reset(
+        self, seed: int | tuple[int, ...] = 0, target: Float[np.ndarray, " target"] | None = None
+    ) -> None:
+        """Forget the planned controls, for a new episode.
+
+        Args:
+            seed: seed of the samples.
+            target: the goal of the episode, for a problem whose goals are drawn.
+        """
+        target = np.empty(0) if target is None else np.asarray(target, dtype=float)
+        self._rng = np.random.default_rng(seed)
+        self._mean = np.zeros((self.config.knots, len(self._half)))
+        self._cost: Cost = make_cost(self.plant, self.config, target, self.embedding)
+        goal_held = self.config.regulator and self.plant.problem.hold
+        self._takeover = Takeover(self.plant, self.plant.goal(target)) if goal_held else None
+        self.regulated = False
+        """Whether the regulator gave the last control."""
+
+    def __call__(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"]:
+        """Return the control to apply in this state for one control step."""
+        state = np.asarray(state, dtype=float)
+        regulated = None if self._takeover is None else self._takeover.control(state)
+        self.regulated = regulated is not None
+        if regulated is not None:
+            self._mean = np.tile((regulated - self._middle) / self._half, (self.config.knots, 1))
+            return regulated
+        mean, std = self._mean, np.full_like(self._mean, self.config.noise)
+        for _ in range(getattr(self.config.method, "iterations", 1)):
+            candidates = self._candidates(mean, std)
+            costs = self._costs(state, self._controls(candidates))
+            mean, std = self.config.method.improve(std, candidates, costs)
+        self._mean = self._shift @ mean
+        return self._controls(mean[None])[0, 0]
+
+    def _make_splines(self) -> None:
+        """Compute what turns knots into controls, and shifts knots by a control step."""
+        config, step = self.config, self.plant.control_step
+        self.num_steps = round(config.horizon_s / step)
+        """Control steps of the horizon."""
+        if self.num_steps < 1:
+            raise UsageError(
+                f"`horizon_s` must be at least one control step of {step:g} s, got {config.horizon_s:g}."
+            )
+        last = (self.num_steps - 1) * step
+        times = step * np.arange(self.num_steps)
+        self._spline = spline_matrix(times, last, config.knots, config.spline)
+        moved = np.linspace(0.0, last, config.knots) + step
+        self._shift = spline_matrix(
+            moved, last, config.knots, "linear" if config.spline == "cubic" else config.spline
+        )
+
+    def _candidates(self, mean: np.ndarray, std: np.ndarray) -> Float[np.ndarray, "sample knot control"]:
+        """Knots around the mean, which is the first candidate."""
+        noise = self._rng.standard_normal((self.config.samples, *mean.shape))
+        if self.config.noise_color:
+            noise = colored(noise, self.config.noise_color)
+        if self.config.noise_spread > 1:
+            noise *= self.config.noise_spread ** -self._rng.random((len(noise), 1, 1))
+        noise[0] = 0.0
+        return np.clip(mean + std * noise, -1.0, 1.0)
+
+    def _controls(
+        self, knots: Float[np.ndarray, "sample knot control"]
+    ) -> Float[np.ndarray, "sample step control"]:
+        """Turn knots into controls, within their limits."""
+        return self._middle + self._half * np.clip(np.einsum("tk,skc->stc", self._spline, knots), -1.0, 1.0)
+
+    def _costs(self, state: np.ndarray, controls: np.ndarray) -> Float[np.ndarray, " sample"]:
+        """Simulate every candidate from the present state."""
+        simulator, samples = self._simulator, len(controls)
+        states = np.empty((samples, self.num_steps + 1, len(state)))
+        states[:, 0] = state
+        simulator.reset(states[:, 0])
+        invalid = np.zeros(samples)
+        for step in range(self.num_steps):
+            simulator.step(controls[:, step], self.plant.task.frame_skip)
+            states[:, step + 1] = simulator.states()
+            invalid += ~simulator.allowed(samples)
+        diverged = simulator.diverged()
+        states[diverged] = state
+        costs = self._cost(states, controls) + self.config.invalid_cost * invalid / self.num_steps
+        return np.where(diverged, np.inf, costs)
+
+
+def colored(
+    noise: Float[np.ndarray, "sample knot control"], exponent: float
+) -> Float[np.ndarray, "sample knot control"]:
+    """Colour white noise along the knots; its power falls with this exponent of the frequency."""
+    num = noise.shape[1]
+    frequency = np.maximum(np.fft.rfftfreq(num), 1.0 / num)
+    shape = frequency ** (-exponent / 2)
+    found = np.fft.irfft(np.fft.rfft(noise, axis=1) * shape[:, None], num, axis=1)
+    weights = np.full(len(shape), 2.0)
+    weights[0] = 1.0
+    if num % 2 == 0:
+        weights[-1] = 1.0
+    return found / np.sqrt((weights * shape**2).sum() / num)

@@ -1,0 +1,123 @@
+"""What a controller minimises along its horizon."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
+from planspace.embed.embedding import Embedding, norm
+from planspace.errors import UsageError
+from planspace.tasks.problem import Goal
+
+Cost = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(states [sample, time, state], controls [sample, step, control]) to the cost of each sample; the first
+state is the present one."""
+Distance = Callable[[np.ndarray], np.ndarray]
+"""States [..., state] to their distance from the goal [...]."""
+
+
+def make_cost(plant: Plant, config: ControlConfig, target: np.ndarray, embedding: Embedding | None) -> Cost:
+    """Return the cost of candidates.
+
+    Args:
+        plant: what is controlled.
+        config: which cost, and its weights.
+        target: the goal of the episode, for a task whose goals are drawn; otherwise empty.
+        embedding: computes z.
+
+    Raises:
+        UsageError: the cost needs an embedding and there is none, or the embedding reads other states.
+    """
+    if config.cost == "reward":
+        return RewardCost(plant, target)
+    if embedding is None:
+        raise UsageError(
+            f"the cost {config.cost} needs an embedding: give --embedding DIR, or --cost reward."
+        )
+    columns = list(embedding.columns_of(plant.space.names))
+    space = embedding.encode if config.cost == "z" else embedding.inputs
+    return DistanceCost(
+        plant, config, goal_distance(plant, plant.goal(target), lambda x: space(x[..., columns]))
+    )
+
+
+def goal_distance(plant: Plant, goal: Goal, encode: Callable[[np.ndarray], np.ndarray]) -> Distance:
+    """Distance from the nearest state of the goal region, in the space of an encoder."""
+    free = goal.weights == 0
+    if not free.any() and not goal.half.any():
+        z = encode(goal.center)
+        return lambda states: norm(encode(states) - z)
+
+    def distance(states: np.ndarray) -> np.ndarray:
+        off = plant.space.difference(states, goal.center)
+        nearest = np.where(free, off, np.clip(off, -goal.half, goal.half))
+        return norm(encode(states) - encode(plant.space.integrate(goal.center, nearest)))
+
+    return distance
+
+
+def support_note(plant: Plant, embedding: Embedding) -> str | None:
+    """Say how far a fixed goal lies outside the region that the demonstrations cover; None if it does not."""
+    support = embedding.support
+    if support is None or plant.task.target_size:
+        return None
+    columns = list(embedding.columns_of(plant.space.names))
+    away = float(support.distance(embedding.inputs(plant.goal(np.empty(0)).center[columns])))
+    if away <= support.radius:
+        return None
+    return (
+        f"the goal lies outside the region that the embedding's demonstrations cover, {away:.2g} standard "
+        f"deviations from the nearest of their states (the region ends at {support.radius:.2g}): z is a "
+        "guess there."
+    )
+
+
+class DistanceCost:
+    """The distance to the goal along the horizon and at its end, and the effort.
+
+    The unit is the mean distance from where episodes start.
+    """
+
+    def __init__(self, plant: Plant, config: ControlConfig, distance: Distance):
+        self.config = config
+        self.distance = distance
+        self._unit = float(distance(plant.starts).mean()) or 1.0
+        simulator = plant.simulator(1)
+        self._largest = np.maximum(np.abs(simulator.control_low), np.abs(simulator.control_high))
+
+    def __call__(
+        self,
+        states: Float[np.ndarray, "sample time state"],
+        controls: Float[np.ndarray, "sample step control"],
+    ) -> Float[np.ndarray, " sample"]:
+        """Return the cost of each candidate."""
+        steps, config = controls.shape[1], self.config
+        points = np.unique(np.round(np.linspace(0, steps, config.cost_points + 1)[1:]).astype(int))
+        away = self.distance(states[:, np.maximum(points, 1)]) / self._unit
+        effort = np.mean((controls / self._largest) ** 2, axis=(1, 2))
+        return away.mean(axis=1) + config.terminal_weight * away[:, -1] + config.effort_weight * effort
+
+
+class RewardCost:
+    """Minus the mean reward of the task along the horizon."""
+
+    def __init__(self, plant: Plant, target: np.ndarray):
+        self.task = plant.task
+        self._target = target
+
+    def __call__(
+        self,
+        states: Float[np.ndarray, "sample time state"],
+        controls: Float[np.ndarray, "sample step control"],
+    ) -> Float[np.ndarray, " sample"]:
+        """Return the cost of each candidate."""
+        samples, steps, size = controls.shape
+        before, after = (
+            states[:, :-1].reshape(-1, states.shape[-1]),
+            states[:, 1:].reshape(-1, states.shape[-1]),
+        )
+        targets = np.broadcast_to(self._target, (len(before), len(self._target)))
+        rewards = self.task.reward(before, after, controls.reshape(-1, size), targets)
+        return -np.asarray(rewards).reshape(samples, steps).mean(axis=1)

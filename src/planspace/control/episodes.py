@@ -1,0 +1,97 @@
+"""Episodes under a controller."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from planspace.control.controller import Controller
+
+LAST_S = 1.0
+"""An episode succeeds if every state of the last second is at the goal [s]."""
+
+
+@dataclass(frozen=True)
+class ControlledEpisode:
+    """One episode under a controller."""
+
+    states: Float[np.ndarray, "time state"]
+    """The state at the start and after each control step."""
+    controls: Float[np.ndarray, "step control"]
+    """What was applied."""
+    rewards: Float[np.ndarray, " step"]
+    """Rewards of the task."""
+    at_goal: Bool[np.ndarray, " time"]
+    """Whether each state is at the goal, as the task judges it."""
+    regulated: Bool[np.ndarray, " step"]
+    """Whether the regulator gave the control."""
+    seconds: Float[np.ndarray, " step"]
+    """Wall time for which each control was computed [s]."""
+    goal: Float[np.ndarray, " state"]
+    """The centre of the goal region."""
+    step: float
+    """Time between two states [s]."""
+
+    @property
+    def success(self) -> bool:
+        """Whether every state of the last second is at the goal."""
+        last = max(1, round(LAST_S / self.step))
+        return len(self.at_goal) > last and bool(self.at_goal[-last - 1 :].all())
+
+    @property
+    def arrival(self) -> int | None:
+        """Index of the state from which on the episode stays at the goal; None if it does not end there."""
+        if not self.at_goal[-1]:
+            return None
+        away = np.flatnonzero(~self.at_goal)
+        return int(away[-1]) + 1 if len(away) else 0
+
+
+def run_episode(
+    controller: Controller, seed: int, index: int, num_steps: int | None = None
+) -> ControlledEpisode:
+    """Run one episode from a start of the task.
+
+    The episode depends on the controller, the seed and the index only. It ends early where the task ends or
+    physics diverges.
+
+    Args:
+        controller: acts; it is reset.
+        seed: seed of starts, goals and samples.
+        index: number of the episode.
+        num_steps: control steps; by default the task's horizon.
+    """
+    plant = controller.plant
+    task = plant.task
+    starts, targets = task.sample_starts(1, np.random.default_rng((seed, index)))
+    controller.reset((seed, index, 1), targets[0])
+    simulator = plant.simulator(1)
+    simulator.reset(starts)
+    states, controls, rewards, regulated, seconds = [starts[0]], [], [], [], []
+    for _ in range(num_steps or task.horizon):
+        began = time.perf_counter()
+        control = controller(states[-1])
+        seconds.append(time.perf_counter() - began)
+        simulator.step(control[None], task.frame_skip)
+        if simulator.diverged()[0]:
+            seconds.pop()
+            break
+        after = simulator.states()
+        rewards.append(task.reward(states[-1][None], after, control[None], targets)[0])
+        regulated.append(controller.regulated)
+        controls.append(control)
+        states.append(after[0])
+        if task.terminated(after)[0]:
+            break
+    path = np.stack(states)
+    return ControlledEpisode(
+        states=path,
+        controls=np.array(controls).reshape(-1, len(simulator.control_low)),
+        rewards=np.array(rewards, dtype=float),
+        at_goal=plant.at_goal(path, targets[0]),
+        regulated=np.array(regulated, dtype=bool),
+        seconds=np.array(seconds),
+        goal=plant.goal(targets[0]).center,
+        step=plant.control_step,
+    )

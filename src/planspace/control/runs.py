@@ -1,0 +1,211 @@
+"""Controlling many episodes in a run folder that an interrupted command continues.
+
+DIR/config.json    the settings
+DIR/episodes/      every episode, a dataset
+DIR/demos/         those that ended at the goal, until they arrived: demonstrations to learn from
+DIR/log.jsonl      one row an episode: return, success, wall times
+"""
+
+import json
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planspace.control.config import ControlConfig
+from planspace.control.episodes import ControlledEpisode
+from planspace.control.plant import Plant
+from planspace.control.workers import check_fit, control_all
+from planspace.demos.episode import Episode
+from planspace.demos.folder import DemoFolder
+from planspace.demos.manifest import DatasetSettings
+from planspace.demos.state_info import StateInfo
+from planspace.embed.embedding import Embedding
+from planspace.progress import progress
+from planspace.seams import plain_settings
+from planspace.storage.checks import reject_malformed
+from planspace.storage.files import read_bytes
+from planspace.storage.provenance import Provenance
+from planspace.storage.rows import append_rows
+from planspace.storage.runs import lock_folder, open_run
+
+EPISODES, DEMOS, LOG = "episodes", "demos", "log.jsonl"
+
+
+@dataclass(frozen=True)
+class ControlSummary:
+    """What the episodes of a run amount to."""
+
+    success: float
+    """Fraction of episodes that were at the goal for the whole last second."""
+    return_mean: float
+    """Mean return of the task."""
+    return_worst: float
+    """Smallest return."""
+    horizon_s: float
+    """How far the controller looked ahead [s]."""
+    samples: int
+    """Candidates in each round."""
+    real_time: float
+    """Fraction of control steps that were computed within a control step, on one core."""
+    regulated: float
+    """Fraction of control steps in which the regulator acted."""
+    episodes: int
+    """Number of episodes."""
+
+
+def control_into(  # noqa: PLR0913
+    plant: Plant,
+    embedding: Embedding | None,
+    config: ControlConfig,
+    out: Path,
+    *,
+    num: int,
+    seed: int,
+    episode_s: float | None = None,
+    workers: int | None = None,
+) -> ControlSummary:
+    """Control episodes into a run folder; those that it holds are kept.
+
+    Episode i depends on the plant, the embedding, the settings, the seed and i only, so an interrupted
+    command ends with the same content as one that was not interrupted.
+
+    Args:
+        plant: what is controlled.
+        embedding: computes z; needed for the cost `z`.
+        config: how the controller looks ahead.
+        out: the run folder.
+        num: number of episodes that the folder will hold.
+        seed: seed of starts, goals and samples.
+        episode_s: length of an episode [s]; by default the task's.
+        workers: number of processes; by default one for each CPU, 0 for none.
+
+    Returns:
+        What all episodes amount to.
+
+    Raises:
+        UsageError: plant, embedding and settings do not fit together.
+        PlanspaceError: the folder cannot be written or was made with other settings.
+    """
+    steps = plant.task.horizon if episode_s is None else max(1, round(episode_s / plant.control_step))
+    info = StateInfo.of_model(
+        plant.model,
+        plant.space,
+        problem=plant.problem.name,
+        joints=plant.problem.joints,
+        source=plant.problem.source,
+    )
+    check_fit(plant, embedding, config)
+    with lock_folder(out):
+        open_run(out, _settings(plant, embedding, config, seed, steps))
+        settings = DatasetSettings(problem=plant.problem.hash, seed=seed)
+        whole, demos = (DemoFolder(out / name, info, settings) for name in (EPISODES, DEMOS))
+        remaining = range(whole.next_index, num)
+        if remaining:
+            with closing(control_all(plant, embedding, config, seed, remaining, steps, workers)) as episodes:
+                _extend(out, whole, demos, _shown(remaining, episodes))
+        return summarise(out, config)
+
+
+def _settings(
+    plant: Plant, embedding: Embedding | None, config: ControlConfig, seed: int, steps: int
+) -> dict[str, Any]:
+    """The content of `config.json`."""
+    return {
+        "task": plant.task.name,
+        "task_sha256": plant.task.hash,
+        "problem": plant.problem.hash,
+        "embedding": None if embedding is None else embedding.hash,
+        "seed": seed,
+        "episode_steps": steps,
+        **plain_settings(config),
+        "versions": Provenance.current("mujoco").plain(),
+    }
+
+
+def summarise(out: Path, config: ControlConfig) -> ControlSummary:
+    """Sum up the episodes that a run folder holds.
+
+    Raises:
+        PlanspaceError: the log is missing or damaged.
+    """
+    with reject_malformed(out / LOG):
+        rows = [json.loads(line) for line in read_bytes(out / LOG).splitlines()]
+        returns = [float(row["return"]) for row in rows]
+        mean = {
+            key: float(np.mean([row[key] for row in rows])) for key in ("success", "real_time", "regulated")
+        }
+    return ControlSummary(
+        success=mean["success"],
+        return_mean=float(np.mean(returns)),
+        return_worst=min(returns),
+        horizon_s=config.horizon_s,
+        samples=config.samples,
+        real_time=mean["real_time"],
+        regulated=mean["regulated"],
+        episodes=len(rows),
+    )
+
+
+def _extend(
+    out: Path, whole: DemoFolder, demos: DemoFolder, episodes: Iterable[tuple[int, ControlledEpisode]]
+) -> None:
+    """Save each episode as it ends: its row, then its demonstration, then the episode, which counts it."""
+    for i, episode in episodes:
+        append_rows(out / LOG, [_row(i, episode)], key="episode")
+        if demos.next_index <= i:  # otherwise a kill came between the two datasets
+            arrived = _arrived(episode, i)
+            demos.append([] if arrived is None else [arrived], i + 1)
+        whole.append([_as_demonstration(episode, i, len(episode.controls))], i + 1)
+
+
+def _shown(
+    remaining: range, episodes: Iterator[ControlledEpisode]
+) -> Iterator[tuple[int, ControlledEpisode]]:
+    """Number the episodes, and show the progress."""
+    held = 0
+    with progress("control", remaining.stop, done=remaining.start, unit="episode") as bar:
+        for i, episode in zip(remaining, episodes, strict=True):
+            yield i, episode
+            held += episode.success
+            bar.set_postfix_str(f"{held} of {i + 1 - remaining.start} stay at the goal", refresh=False)
+            bar.update()
+
+
+def _as_demonstration(episode: ControlledEpisode, index: int, num_steps: int) -> Episode:
+    """The first steps of an episode as a demonstration."""
+    return Episode(
+        states=episode.states[: num_steps + 1],
+        controls=episode.controls[:num_steps],
+        times=episode.step * np.arange(num_steps + 1),
+        goal=episode.goal,
+        success=episode.success,
+        index=index,
+        seed=0,
+        cost=episode.step * num_steps,
+    )
+
+
+def _arrived(episode: ControlledEpisode, index: int) -> Episode | None:
+    """An episode that succeeded, until it arrived at its goal; None for others."""
+    if not episode.success or not episode.arrival:
+        return None
+    return _as_demonstration(episode, index, episode.arrival)
+
+
+def _row(index: int, episode: ControlledEpisode) -> dict[str, Any]:
+    in_time = episode.seconds <= episode.step
+    return {
+        "episode": index,
+        "time": time.time(),
+        "return": float(episode.rewards.sum()),
+        "success": episode.success,
+        "arrival": episode.arrival,
+        "regulated": float(episode.regulated.mean()) if len(in_time) else 0.0,
+        "real_time": float(in_time.mean()) if len(in_time) else 0.0,
+        "step_ms": float(1e3 * np.median(episode.seconds)) if len(in_time) else 0.0,
+    }

@@ -1,0 +1,74 @@
+"""Episodes under a controller in worker processes, each on one core."""
+
+import pickle
+import warnings
+from collections.abc import Generator
+from functools import lru_cache
+
+from planspace.control.config import ControlConfig
+from planspace.control.controller import Controller
+from planspace.control.episodes import ControlledEpisode, run_episode
+from planspace.control.plant import Plant
+from planspace.embed.embedding import Embedding
+from planspace.errors import PlanspaceError
+from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_cores, pack
+
+
+def check_fit(plant: Plant, embedding: Embedding | None, config: ControlConfig) -> None:
+    """Check that plant, embedding and settings fit together, before anything is written.
+
+    Raises:
+        UsageError: they do not.
+    """
+    _make_controller(plant, embedding, config)
+
+
+def control_all(
+    plant: Plant,
+    embedding: Embedding | None,
+    config: ControlConfig,
+    seed: int,
+    indices: range,
+    num_steps: int,
+    workers: int | None,
+) -> Generator[ControlledEpisode, None, None]:
+    """Run episodes and yield them in order.
+
+    Args:
+        plant: what is controlled.
+        embedding: computes z.
+        config: how the controller looks ahead.
+        seed: seed of starts, goals and samples.
+        indices: numbers of the episodes.
+        num_steps: control steps of an episode.
+        workers: number of processes; 0 for this one, None for one for each CPU.
+    """
+    if workers == 0:
+        controller = _make_controller(plant, embedding, config)
+        for i in indices:
+            yield run_episode(controller, seed, i, num_steps)
+        return
+    packed = pack((plant, embedding, config))
+    with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
+        futures = [pool.submit(_run_packed, packed, seed, i, num_steps) for i in indices]
+        try:
+            for future in futures:
+                yield future.result()
+        except WorkerDied as error:
+            raise PlanspaceError(
+                f"a worker process ended unexpectedly ({error}) during an episode."
+            ) from error
+
+
+def _run_packed(packed: bytes, seed: int, index: int, num_steps: int) -> ControlledEpisode:
+    return run_episode(_controller(packed), seed, index, num_steps)
+
+
+@lru_cache(maxsize=1)
+def _controller(packed: bytes) -> Controller:
+    return _make_controller(*pickle.loads(packed))
+
+
+def _make_controller(plant: Plant, embedding: Embedding | None, config: ControlConfig) -> Controller:
+    with warnings.catch_warnings(action="ignore"):  # of a far goal, which the command has said
+        return Controller(plant, embedding, config, threads=1)

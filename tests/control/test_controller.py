@@ -1,0 +1,145 @@
+"""The controller does what is best on problems whose answer is known, and refuses what does not fit."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planspace import Controller, Embedding, PlanspaceError, UsageError, load_problem
+from planspace.control.config import ControlConfig
+from planspace.control.costs import support_note
+from planspace.control.episodes import run_episode
+from planspace.control.methods import METHODS
+from planspace.control.plant import Plant
+from planspace.mjcf.assets import ASSETS
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.problem import Problem
+
+BY_REWARD = ControlConfig(horizon_s=0.4, samples=32, cost="reward", regulator=False)
+HANGING, UPRIGHT = np.array([np.pi, 0.0]), np.array([0.05, 0.0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_falling_pendulum_is_pushed_back(method: str) -> None:
+    controller = Controller("pendulum", config=replace(BY_REWARD, method=METHODS[method]))
+    for side in (-1.0, 1.0):
+        controller.reset(0)
+        assert side * controller(side * np.array([0.3, 0.5]))[0] < 0
+
+
+def test_the_regulator_takes_over_where_it_holds_the_goal_and_nowhere_else() -> None:
+    controller = Controller("pendulum", config=replace(BY_REWARD, regulator=True))
+    controller(UPRIGHT)
+    assert controller.regulated
+    controller(HANGING)
+    assert not controller.regulated
+
+
+def test_the_seed_decides_the_samples_and_threads_do_not() -> None:
+    one, other = (Controller("pendulum", config=BY_REWARD, seed=3, threads=n) for n in (1, 2))
+    first = [one(HANGING) for _ in range(3)]
+    assert [other(HANGING) for _ in range(3)] == first
+    one.reset(3)
+    assert [one(HANGING) for _ in range(3)] == first
+    one.reset(4)
+    assert [one(HANGING) for _ in range(3)] != first
+
+
+def test_what_was_planned_is_remembered() -> None:
+    """Without noise, the next plan is the last one, moved by a step; it ends with its last value."""
+    controller = Controller("pendulum", config=replace(BY_REWARD, knots=10, horizon_s=0.4))
+    controller(HANGING)
+    planned = controller._mean.copy()
+    controller.config = replace(controller.config, noise=1e-9)
+    controller(HANGING)
+    np.testing.assert_allclose(controller._mean[:-1], planned[1:], atol=1e-6)
+    np.testing.assert_allclose(controller._mean[-1], planned[-1], atol=1e-6)
+
+
+def test_z_is_minimised(embedding: Embedding) -> None:
+    """With a horizon of one step, the control leads as near to the goal in z as the best of a fine grid."""
+    config = ControlConfig(METHODS["sampling"], horizon_s=0.04, samples=400, knots=1, effort_weight=0.0)
+    controller = Controller("cartpole-swingup", embedding, replace(config, regulator=False))
+    plant, state = controller.plant, np.array([0.0, 2.0, 0.0, 0.5])
+    grid = np.linspace(-3.0, 3.0, 601)[:, None]
+    simulator = plant.simulator(len(grid))
+    simulator.reset(np.tile(state, (len(grid), 1)))
+    simulator.step(grid, plant.task.frame_skip)
+    best = grid[embedding.distance(simulator.states(), np.zeros(4)).argmin()]
+    assert controller(state) == pytest.approx(best, abs=0.1)
+
+
+@pytest.mark.slow
+def test_an_episode_swings_the_pendulum_up_by_its_reward_and_counts_what_it_did() -> None:
+    controller = Controller("pendulum-swingup", config=replace(BY_REWARD, horizon_s=0.8, regulator=True))
+    episode = run_episode(controller, 0, 0, 100)
+    assert episode.success and episode.arrival is not None
+    assert episode.at_goal[episode.arrival :].all() and not episode.at_goal[episode.arrival - 1]
+    assert len(episode.states) == 101 == len(episode.controls) + 1
+    again = run_episode(controller, 0, 0, 100)
+    np.testing.assert_array_equal(episode.states, again.states)
+
+
+def test_rewards_are_those_of_the_environment() -> None:
+    import gymnasium
+
+    controller = Controller("pendulum-swingup", config=BY_REWARD)
+    episode = run_episode(controller, 0, 0, 20)
+    env = gymnasium.make("planspace/PendulumSwingUp-v0").unwrapped
+    env.reset(options={"state": episode.states[0]})
+    for control, reward in zip(episode.controls, episode.rewards, strict=True):
+        assert env.step(control)[1] == pytest.approx(reward, abs=1e-5)
+
+
+def test_a_name_of_a_task_and_a_problem_means_the_task() -> None:
+    assert Plant.find("cartpole-swingup").task is TASKS["cartpole-swingup"]
+    assert Plant.find("acrobot").task.problem_name == "acrobot"
+
+
+def test_goals_can_be_drawn() -> None:
+    problem = load_problem("reacher-random")
+    plant = Plant.find(problem)
+    target = plant.task.sample_starts(1, np.random.default_rng(0))[1][0]
+    assert plant.goal(target).reached(target)
+
+
+@pytest.mark.parametrize(
+    ("problem", "config", "says"),
+    [
+        ("pendulum", ControlConfig(), "cost z needs an embedding"),
+        ("pendulum", replace(BY_REWARD, horizon_s=0.01), "at least one control step of 0.04 s, got 0.01"),
+        ("reacher-trig", BY_REWARD, "draws a target that is not a state"),
+        ("arm-kinematic", BY_REWARD, "is kinematic"),
+        ("pendulun", BY_REWARD, "pendulum"),
+    ],
+)
+def test_what_does_not_fit_is_refused(problem: str, config: ControlConfig, says: str) -> None:
+    with pytest.raises(PlanspaceError, match=says):
+        Controller(problem, config=config)
+
+
+def test_an_embedding_of_other_joints_is_refused(embedding: Embedding) -> None:
+    with pytest.raises(UsageError, match="'slider' is missing"):
+        Controller("pendulum", embedding)
+
+
+def test_a_control_without_limits_is_refused(tmp_path: Path) -> None:
+    text = (ASSETS / "pendulum.xml").read_text()
+    problem = load_problem("pendulum")
+    unlimited = re.sub(r"ctrlrange=\"[^\"]*\"|ctrllimited=\"true\"", "", text)
+    with pytest.raises(UsageError, match="has no limits"):
+        Controller(replace(problem, model=unlimited), config=BY_REWARD)
+
+
+def test_a_goal_far_from_the_demonstrations_is_reported(embedding: Embedding) -> None:
+    problem = load_problem("cartpole-swingup")
+    assert support_note(Plant.find(problem), embedding) is None
+    far = _with_goal(problem, (0.9, 0.0, 20.0, 30.0))
+    with pytest.warns(UserWarning, match=r"outside the region .* standard deviations"):
+        Controller(far, embedding, ControlConfig(samples=8))
+
+
+def _with_goal(problem: Problem, goal: tuple[float, ...]) -> Problem:
+    return replace(problem, goal=replace(problem.goal, low=goal, high=goal), hold=False)

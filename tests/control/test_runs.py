@@ -1,0 +1,118 @@
+"""Runs of many episodes, in folders and on the command line."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from planspace import PlanspaceError, load_demos
+from planspace.control import runs
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
+from planspace.control.runs import control_into
+
+from ..cli.calls import call
+
+CONFIG = ControlConfig(horizon_s=0.8, samples=16, cost="reward")
+PENDULUM = Plant.find("pendulum-swingup")
+
+
+def control(
+    out: Path, num: int, config: ControlConfig = CONFIG, *, workers: int = 0, seconds: float = 1.0
+) -> runs.ControlSummary:
+    return control_into(PENDULUM, None, config, out, num=num, seed=0, episode_s=seconds, workers=workers)
+
+
+def test_a_run_continues_and_ends_like_one_that_was_not_interrupted(tmp_path: Path) -> None:
+    whole = control(tmp_path / "whole", 3)
+    control(tmp_path / "parts", 1)
+    parts = control(tmp_path / "parts", 3)
+    assert replace(parts, real_time=0.0) == replace(whole, real_time=0.0)
+    assert (
+        load_demos(tmp_path / "whole" / "episodes").hash == load_demos(tmp_path / "parts" / "episodes").hash
+    )
+
+
+@pytest.mark.slow
+def test_a_kill_between_the_two_datasets_stores_nothing_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    control(tmp_path / "whole", 2, seconds=4.0)
+
+    class Killed(Exception):
+        pass
+
+    append = runs.DemoFolder.append
+
+    def killed(self: runs.DemoFolder, episodes: list, next_index: int) -> None:
+        if self.path.name == "episodes" and next_index == 2:
+            raise Killed
+        append(self, episodes, next_index)
+
+    monkeypatch.setattr(runs.DemoFolder, "append", killed)
+    with pytest.raises(Killed):
+        control(tmp_path / "killed", 2, seconds=4.0)
+    monkeypatch.undo()
+    control(tmp_path / "killed", 2, seconds=4.0)
+    for name in ("episodes", "demos"):
+        assert load_demos(tmp_path / "whole" / name).hash == load_demos(tmp_path / "killed" / name).hash
+    assert len((tmp_path / "killed" / "log.jsonl").read_text().splitlines()) == 2
+
+
+@pytest.mark.slow
+def test_the_result_does_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        control(tmp_path / str(workers), 3, workers=workers)
+    assert load_demos(tmp_path / "1" / "episodes").hash == load_demos(tmp_path / "2" / "episodes").hash
+
+
+@pytest.mark.slow
+def test_demonstrations_end_where_the_robot_arrived(tmp_path: Path) -> None:
+    found = control(tmp_path / "run", 2, seconds=4.0)
+    assert found.success == 1.0 and found.return_worst <= found.return_mean
+    whole, demos = load_demos(tmp_path / "run" / "episodes"), load_demos(tmp_path / "run" / "demos")
+    for i in range(2):
+        arrived = demos.episode(i).states
+        assert PENDULUM.at_goal(arrived, whole.goals[0, :0])[-1]
+        assert not PENDULUM.at_goal(arrived, whole.goals[0, :0])[-2]
+        assert (whole.episode(i).states[: len(arrived)] == arrived).all()
+
+
+def test_a_run_with_other_settings_is_refused(tmp_path: Path) -> None:
+    control(tmp_path / "run", 1)
+    with pytest.raises(PlanspaceError, match="samples was 16, now 8"):
+        control(tmp_path / "run", 1, replace(CONFIG, samples=8))
+
+
+def test_the_command_line_prints_json_and_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--cost", "reward", "--horizon-s", "0.8", "--samples", "16", "--no-film"]
+    options += ["--episodes", "1", "--episode-s", "0.4"]
+    code, out, err = call(capsys, "control", "pendulum", *options, "--json", "--out", tmp_path / "run")
+    assert code == 0, err
+    found = json.loads(out)
+    wanted = {"success", "return_mean", "return_worst", "horizon_s", "samples", "real_time"}
+    assert wanted <= found.keys() and found["samples"] == 16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "which problem? One of acrobot"),
+        (("pendulum",), "`--out DIR` is required"),
+        (("pendulum", "--out", "x"), "the cost z needs an embedding"),
+        (("pendulum", "--method", "cme"), "Did you mean 'cem'"),
+        (("pendulum", "--out", "x", "--samples", "0"), "`samples` must be at least 1, got 0"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_writes_nothing(
+    arguments: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call(capsys, "control", *arguments)
+    assert code != 0 and says in err
+    assert not list(tmp_path.iterdir())
