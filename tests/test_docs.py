@@ -27,6 +27,7 @@ EXTRAS = {
 }
 SMALLER = {
     "--num 200": "--num 6",
+    "--episodes 4 --out control": "--episodes 1 --episode-s 0.4 --no-film --out control",
     "--num 20 ": "--num 2 ",
     "num=60": "num=12",
     "num=20": "num=2",

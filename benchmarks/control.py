@@ -1,0 +1,126 @@
+"""Compare costs of receding-horizon control: distance in z, in the state, the reward, and controls of z.
+
+    python benchmarks/control.py runs/control
+
+For each problem, 60 plans are made and encoders are trained on them: the default, one on shuffled plans and
+one with random weights. For each cost and horizon, the same 20 starts are controlled; an episode succeeds if
+it is at the goal for its whole last second. All cells use the same settings of MPPI, which were chosen on the
+swing-up at 0.32 s. No reward is used except by the cost `reward`.
+
+Plans, encoders and episodes are kept in the folder, so the same command goes on. Rows are added to
+results/control/costs.csv cell by cell. `--table` prints the table of docs/control.md.
+"""
+
+import argparse
+import csv
+from pathlib import Path
+
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
+from planspace.control.runs import control_into
+from planspace.embed.embedding import Embedding
+from planspace.embed.fit import fit_embedding
+from planspace.plan.demonstrations import plan_demos
+
+RESULTS = Path(__file__).parents[1] / "results" / "control" / "costs.csv"
+PROBLEMS = {
+    "cartpole-swingup": 8.0,
+    "pendulum-swingup": 8.0,
+    "quadrotor-planar": 6.0,
+    "acrobot-swingup": 10.0,
+    "arm": 6.0,
+    "reacher": 4.0,
+    "ball-pendulum": 6.0,
+    "quadrotor": 6.0,
+}
+"""Tasks, or problems without one, and the length of an episode [s]."""
+COSTS = {"z": "variational", "raw": "variational", "reward": "", "shuffled": "shuffled", "random": "random"}
+"""Cost and the objective of the encoder that it needs."""
+HORIZONS = (0.16, 0.32, 0.64, 1.0, 1.5)
+COLUMNS = ("problem", "cost", "horizon_s", "regulator", "success", "return_mean", "return_worst", "real_time")
+NUM_PLANS, NUM_STARTS, SAMPLES = 60, 20, 128
+
+
+def main() -> None:
+    """Run the cells that the results do not have yet."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, nargs="?", help="where plans, encoders and episodes are kept")
+    parser.add_argument("--only", default="", help="only problems whose name contains this")
+    parser.add_argument("--costs", nargs="+", default=list(COSTS), choices=COSTS)
+    parser.add_argument("--horizons", nargs="+", type=float, default=list(HORIZONS), metavar="S")
+    parser.add_argument("--no-regulator", action="store_true", help="without the regulator at the goal")
+    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
+    options = parser.parse_args()
+    rows = list(csv.DictReader(RESULTS.open())) if RESULTS.exists() else []
+    if options.table:
+        print(table(rows))
+        return
+    if options.folder is None:
+        parser.error("give a folder for plans, encoders and episodes")
+    regulator = not options.no_regulator
+    for name in (name for name in PROBLEMS if options.only in name):
+        for cost in options.costs:
+            for horizon in options.horizons:
+                cell = {"problem": name, "cost": cost, "horizon_s": str(horizon), "regulator": str(regulator)}
+                if any(cell.items() <= row.items() for row in rows):
+                    continue
+                rows.append(cell | measure(options.folder, name, cost, horizon, regulator))
+                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
+                save(rows)
+
+
+def measure(folder: Path, name: str, cost: str, horizon: float, regulator: bool) -> dict[str, str]:
+    """Control the starts of one cell."""
+    plant = Plant.find(name)
+    encoder = encoder_of(folder, plant, COSTS[cost]) if COSTS[cost] else None
+    config = ControlConfig(
+        horizon_s=horizon,
+        samples=SAMPLES,
+        cost=cost if cost in ("raw", "reward") else "z",
+        regulator=regulator,
+    )
+    out = folder / f"{name}-{cost}-{horizon}{'' if regulator else '-alone'}"
+    found = control_into(plant, encoder, config, out, num=NUM_STARTS, seed=0, episode_s=PROBLEMS[name])
+    return {
+        "success": f"{found.success:.2f}",
+        "return_mean": f"{found.return_mean:.1f}",
+        "return_worst": f"{found.return_worst:.1f}",
+        "real_time": f"{found.real_time:.2f}",
+    }
+
+
+def encoder_of(folder: Path, plant: Plant, objective: str) -> Embedding:
+    """The encoder of a problem's plans; both are made once."""
+    problem = plant.problem
+    demos = plan_demos(problem, NUM_PLANS, out=folder / f"{problem.name}-plans")
+    return fit_embedding(demos, objective, out=folder / f"{problem.name}-{objective}")
+
+
+def save(rows: list[dict[str, str]]) -> None:
+    """Write all rows."""
+    RESULTS.parent.mkdir(exist_ok=True)
+    with RESULTS.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """Success of each cost, one column a horizon."""
+    horizons = sorted({row["horizon_s"] for row in rows}, key=float)
+    lines = [
+        f"| problem | cost | regulator | {' | '.join(f'{h} s' for h in horizons)} |",
+        f"|---|---|---|{'---|' * len(horizons)}",
+    ]
+    cells = {(r["problem"], r["cost"], r["regulator"], r["horizon_s"]): r["success"] for r in rows}
+    for problem, cost, regulator in dict.fromkeys(key[:3] for key in cells):
+        shown = [cells.get((problem, cost, regulator, h)) for h in horizons]
+        values = " | ".join("" if value is None else f"{float(value):.0%}" for value in shown)
+        lines.append(f"| {problem} | {cost} | {'yes' if regulator == 'True' else 'no'} | {values} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
