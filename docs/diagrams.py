@@ -153,6 +153,7 @@ STAGES = {
     "demos": ("datasets", "file format"),
     "plan": ("SST*, polish", "Planner"),
     "embed": ("networks, fit", "Objective"),
+    "control": ("looking\nahead", "Method"),
     "envs": ("Gymnasium,\nwrappers", ""),
     "rl": ("TRPO, PPO", "Algorithm"),
 }
@@ -163,11 +164,11 @@ TOP = {"figures": "for all stages", "study": "arms, statistics, reports", "cli":
 
 def draw_house() -> None:
     """Draw the packages, their import order, and the seams."""
-    axes = canvas(23, 11.6)
+    axes = canvas(26.4, 11.6)
     for i, (name, about) in enumerate(TOP.items()):
-        box(axes, 4.3 + 7.2 * i, 10.5, f"{name}\n{about}", STEP, 6.4, 1.4)
+        box(axes, 6.0 + 7.2 * i, 10.5, f"{name}\n{about}", STEP, 6.4, 1.4)
     for i in range(2):
-        arrow(axes, (8.3 + 7.2 * i, 10.5), (7.5 + 7.2 * i, 10.5))
+        arrow(axes, (10.0 + 7.2 * i, 10.5), (9.2 + 7.2 * i, 10.5))
     for i, (name, (about, seam)) in enumerate(STAGES.items()):
         x = 2.5 + 3.6 * i
         box(axes, x, 6.4, f"{name}\n{about}", LATENT, 2.8, 2.0)
@@ -177,15 +178,15 @@ def draw_house() -> None:
         if i:
             arrow(axes, (x - 1.4, 6.4), (x - 2.2, 6.4))
     for i, (name, about) in enumerate(GROUND.items()):
-        box(axes, 3.3 + 5.4 * i, 2.9, f"{name}\n{about}".strip(), STEP, 4.6, 1.9)
+        box(axes, 5.0 + 5.4 * i, 2.9, f"{name}\n{about}".strip(), STEP, 4.6, 1.9)
         if i:
-            arrow(axes, (1.0 + 5.4 * i, 2.9), (0.2 + 5.4 * i, 2.9))
-    arrow(axes, (11.4, 9.8), (11.4, 9.1))
-    arrow(axes, (11.4, 5.38), (11.4, 3.87))
+            arrow(axes, (2.7 + 5.4 * i, 2.9), (1.9 + 5.4 * i, 2.9))
+    arrow(axes, (13.2, 9.8), (13.2, 9.1))
+    arrow(axes, (13.2, 5.38), (13.2, 3.87))
     note = (
         "solid arrows: imports, of the package and of all packages before it; dashed arrows: what you can add"
     )
-    axes.text(11.4, 1.1, note, ha="center", fontsize=10, color="#555555")
+    axes.text(13.2, 1.1, note, ha="center", fontsize=10, color="#555555")
     save(axes, "house")
 
 
