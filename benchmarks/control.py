@@ -37,7 +37,16 @@ PROBLEMS = {
 COSTS = {"z": "variational", "raw": "variational", "reward": "", "shuffled": "shuffled", "random": "random"}
 """Cost and the objective of the encoder that it needs."""
 HORIZONS = (0.16, 0.32, 0.64, 1.0, 1.5)
-COLUMNS = ("problem", "cost", "horizon_s", "regulator", "success", "return_mean", "return_worst", "real_time")
+COLUMNS: tuple[str, ...] = (
+    "problem",
+    "cost",
+    "horizon_s",
+    "regulator",
+    "success",
+    "return_mean",
+    "return_worst",
+    "real_time",
+)
 NUM_PLANS, NUM_STARTS, SAMPLES = 60, 20, 128
 
 
