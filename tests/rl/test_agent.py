@@ -7,7 +7,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import TaskEpisodes
 from planspace.rl import agent
 from planspace.rl.agent import Improvement, Samples, matched, new_agent, values
 from planspace.rl.algorithm import Diverged
@@ -29,7 +29,7 @@ TASK = TASKS["cartpole"]
 @pytest.fixture(scope="module")
 def arm() -> Arm:
     config = TrainConfig(num_seeds=1)
-    return Arm(config, Observer(TASK, "raw", "none", "both"), TaskBatch(TASK, 4))
+    return Arm(config, Observer(TASK, "raw", "none", "both"), TaskEpisodes(TASK, 4))
 
 
 def test_the_critic_gives_the_value_where_the_record_is_cut(arm: Arm) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from planspace import load_policy
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import TaskEpisodes
 from planspace.rl import training
 from planspace.rl.arm import Arm
 from planspace.rl.config import BATCH_STEPS, TrainConfig
@@ -108,7 +108,7 @@ def test_an_interrupted_evaluation_is_repeated(tmp_path: Path, monkeypatch: pyte
 
 def test_an_evaluation_ignores_exploration_and_is_the_same_for_every_seed() -> None:
     observer = Observer(TASKS[TASK], "raw", "none", "both", num_seeds=2)
-    arm = Arm(CONFIG, observer, TaskBatch(observer.task, 2 * 20))
+    arm = Arm(CONFIG, observer, TaskEpisodes(observer.task, 2 * 20))
     with ThreadPoolExecutor(1) as threads:
         run = training._Training(arm, threads)
         state = training._init(run)

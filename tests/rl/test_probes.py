@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import TaskEpisodes
 from planspace.rl import training
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.arm import Arm
@@ -57,7 +57,7 @@ class Trained:
         algorithm = find_algorithm(algo, preset)
         config = TrainConfig(algorithm, num_seeds=2, steps=iterations * STEPS, batch_steps=STEPS)
         observer = Observer(task, "raw", "none", "both")
-        arm = Arm(config, observer, TaskBatch(task, 2 * num_episodes(task, STEPS)))
+        arm = Arm(config, observer, TaskEpisodes(task, 2 * num_episodes(task, STEPS)))
         with ThreadPoolExecutor(2) as threads:
             run = training._Training(arm, threads)
             state = training._init(run)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import TaskEpisodes
 from planspace.errors import UsageError
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.observe import Observer
@@ -13,9 +13,9 @@ from planspace.tasks.task import Task
 
 def roll(task: Task, num_envs: int, seeds: list[int], num_steps: int) -> Rollout:
     """Episodes with unit Gaussian noise for actions."""
-    batch = TaskBatch(task, num_envs * len(seeds))
+    episodes = TaskEpisodes(task, num_envs * len(seeds))
     rngs = [np.random.default_rng(s) for s in seeds]
-    return collect(batch, Observer(task, "raw", "none", "both"), lambda obs, noise: noise, num_steps, rngs)
+    return collect(episodes, Observer(task, "raw", "none", "both"), lambda obs, noise: noise, num_steps, rngs)
 
 
 def test_episodes_of_a_seed_do_not_depend_on_other_seeds() -> None:
@@ -60,7 +60,7 @@ def test_actions_of_another_shape_are_refused() -> None:
     message = r"Algorithm.collect must act with shape \[seed, env, action\] = \(2, 3, 1\), got \(2, 3\)\. See"
     with pytest.raises(UsageError, match=message):
         observer = Observer(task, "raw", "none", "both")
-        collect(TaskBatch(task, 6), observer, lambda obs, noise: noise[..., 0], 5, rngs)
+        collect(TaskEpisodes(task, 6), observer, lambda obs, noise: noise[..., 0], 5, rngs)
 
 
 def test_iterations_consist_of_whole_episodes() -> None:

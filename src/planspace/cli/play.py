@@ -23,7 +23,8 @@ class Play:
     arm: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = ""
     """Which arm of a `planspace run` to play; without it the arms are listed."""
     task: Annotated[str, arg(metavar="TASK", help_behavior_hint="(default: that of the run)")] = ""
-    """module.py:NAME, if the policy was trained on your own Task. A run on a problem file holds its task."""
+    """module.py:NAME, if the policy was trained on your own Task or GymTask. A run on a problem file holds
+    its task."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
     """The seed to play. best: the seed with the highest return in the last evaluation."""
     episodes: Annotated[int, arg(metavar="N")] = 10
@@ -35,21 +36,21 @@ class Play:
 
     def __call__(self) -> None:
         """Play, print the returns, and save the film."""
-        from planspace.demos.render import FilmConfig, check_film, render_demos
-        from planspace.rl.play import play
+        from planspace.demos.render import check_film
+        from planspace.rl.play import film, play
         from planspace.rl.saved_policy import load_policy
-        from planspace.tasks.catalog import find_task
+        from planspace.tasks.gymnasium import find_training_task
 
         self._check()
         if self.video is not None:
             check_film(self.video)
         policy = load_policy(self._chosen_run(), "best" if self.seed == "best" else int(self.seed))
-        task = find_task(load_or_name(self.task)) if self.task else None
+        task = find_training_task(load_or_name(self.task)) if self.task else None
         returns, demos = play(policy, self.episodes, self.start_seed, task)
         print(f"seed {policy.seed}, {counted(len(returns), 'episode')} of {policy.about['task']}")
         print(f"return: mean {returns.mean():.1f}, worst {returns.min():.1f}, best {returns.max():.1f}")
         if self.video is not None:
-            render_demos(demos, self.video, FilmConfig())
+            film(policy, demos, self.video, task)
             print(self.video)
 
     def _check(self) -> None:

@@ -24,16 +24,18 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.saved_settings import read_settings
 from planspace.seams import check_fits
 from planspace.storage.tracking import TrackerName
-from planspace.tasks.catalog import TASKS, find_task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.gymnasium import AnyTask, GymTask, find_training_task
 
 if TYPE_CHECKING:
     from planspace.rl.trained import TrainedPolicies
-    from planspace.tasks.task import Task
 
-RECORDED = ("task", "task_sha256", "embeddings", "versions", "preset")
+RECORDED = ("task", "task_sha256", "environment", "embeddings", "versions", "preset")
 """What a run's config.json records besides settings."""
+GYM_HELP = "Gymnasium steps its environments one after another, which is slower than planspace's own tasks."
 TASK_HELP = (
-    f"One of {', '.join(sorted(TASKS))}; FILE.yaml, your own problem file; or module.py:NAME, your own Task."
+    f"One of {', '.join(sorted(TASKS))}; FILE.yaml, your own problem file; gym:ID, a Gymnasium environment; "
+    f"or module.py:NAME, your own Task or GymTask. {GYM_HELP}"
 )
 
 
@@ -83,9 +85,11 @@ class Train:
 
         if not self.task:
             raise UsageError(f"which task? {TASK_HELP}")
-        task = find_task(load_or_name(self.task))
+        task = find_training_task(load_or_name(self.task))
         if self.out is None:
             raise UsageError("`--out DIR` is required: the folder of the run.")
+        if isinstance(task, GymTask):
+            print(f"{task.name}: {GYM_HELP}", file=sys.stderr)
         self._print_rounding(task)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
@@ -97,7 +101,7 @@ class Train:
                 "seeds went on, and everything is saved."
             )
 
-    def _print_rounding(self, task: "Task") -> None:
+    def _print_rounding(self, task: AnyTask) -> None:
         from planspace.rl.training import num_episodes
 
         rounded = self.config.iterations * num_episodes(task, self.config.batch_steps) * task.horizon

@@ -24,6 +24,7 @@ from planspace.storage.files import write_bytes
 SUFFIXES = (".gif", ".mp4")
 BACKENDS = ("egl", "osmesa", "glfw", "cgl")
 Image = UInt8[np.ndarray, "height width 3"]
+Encoder = Callable[[Iterator[Image], "FilmConfig"], bytes]
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,7 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
         UsageError: the file is neither GIF nor MP4, an MP4 has an odd size, or the camera does not exist.
         PlanspaceError: there is no model, no OpenGL backend works, or the file cannot be written.
     """
-    suffix = check_film(file)
-    if suffix == ".mp4" and (config.width % 2 or config.height % 2):
-        raise UsageError(f"an MP4 must have an even width and height, got {config.width} x {config.height}.")
-    encode = _encode_gif if suffix == ".gif" else _mp4_encoder()
+    _find_encoder(file, config)
     model, space = demos.info.compile()
     poses = [_poses(demos.episode(i), config.fps) for i in range(min(config.episodes, len(demos)))]
     states = space.normalise(np.concatenate(poses))
@@ -80,8 +78,29 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
                 yield shoot(data)
                 bar.update()
 
-        film = encode(frames(), config)
-    write_bytes(file, film)
+        write_film(file, frames(), config)
+
+
+def write_film(file: Path, pictures: Iterator[Image], config: FilmConfig) -> None:
+    """Write pictures as a film.
+
+    Args:
+        file: the GIF or MP4 file to write.
+        pictures: pictures of the width and height of `config`.
+        config: the settings.
+
+    Raises:
+        UsageError: the file is neither GIF nor MP4, or an MP4 has an odd size.
+        PlanspaceError: the file cannot be written.
+    """
+    write_bytes(file, _find_encoder(file, config)(pictures, config))
+
+
+def _find_encoder(file: Path, config: FilmConfig) -> "Encoder":
+    suffix = check_film(file)
+    if suffix == ".mp4" and (config.width % 2 or config.height % 2):
+        raise UsageError(f"an MP4 must have an even width and height, got {config.width} x {config.height}.")
+    return _encode_gif if suffix == ".gif" else _mp4_encoder()
 
 
 def check_film(file: Path) -> str:
@@ -190,7 +209,7 @@ def _encode_gif(pictures: Iterator[Image], config: FilmConfig) -> bytes:
     return film.getvalue()
 
 
-def _mp4_encoder() -> Callable[[Iterator[Image], FilmConfig], bytes]:
+def _mp4_encoder() -> Encoder:
     try:
         import imageio_ffmpeg
     except ImportError as error:

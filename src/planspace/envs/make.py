@@ -1,23 +1,27 @@
 """Making and wrapping environments: `planspace.make_env` and `planspace.wrap`."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import SyncVectorEnv, VectorEnv
 
 from planspace.embed.embedding import Embedding
+from planspace.envs.gymnasium_env import GymTaskEnv
 from planspace.envs.observation_wrappers import PlanSpaceObservation, PlanSpaceVectorObservation
 from planspace.errors import UsageError, quoted
-from planspace.tasks.catalog import TASKS, find_task
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.gymnasium import AnyTask, GymTask, find_training_task
+from planspace.tasks.observation_types import find_name
 from planspace.tasks.task import Task
 
 
 @overload
 def make_env(
-    task: str | Path | Task,
+    task: str | Path | AnyTask,
     num_envs: None = None,
     *,
     embedding: str | Path | Embedding | None = None,
@@ -26,7 +30,7 @@ def make_env(
 ) -> gymnasium.Env[Any, Any]: ...
 @overload
 def make_env(
-    task: str | Path | Task,
+    task: str | Path | AnyTask,
     num_envs: int,
     *,
     embedding: str | Path | Embedding | None = None,
@@ -34,7 +38,7 @@ def make_env(
     **arguments: Any,
 ) -> VectorEnv[Any, Any, Any]: ...
 def make_env(
-    task: str | Path | Task,
+    task: str | Path | AnyTask,
     num_envs: int | None = None,
     *,
     obs: str = "raw",
@@ -47,7 +51,8 @@ def make_env(
     """Make the environment of a task, as `gymnasium.make` would, with or without an embedding.
 
     Args:
-        task: the name of a task, the path of a problem file (`.yaml`), or a task of your own.
+        task: the name of a task, the path of a problem file (`.yaml`), a task of your own, or a Gymnasium
+            environment as `gym:ID` or `GymTask`.
         num_envs: number of environments in one vector environment; None makes a single environment.
         obs: `raw`, `wrapped` (angles of unlimited hinges within (-pi, pi]) or `trig` (raw, sine and cosine).
         reward: `dense`, `sparse` (1 at the goal, 0 elsewhere) or `2020` (if the task has it).
@@ -64,13 +69,15 @@ def make_env(
         UsageError: no task has this name, a task does not fit its model, or an argument has a wrong value.
         PlanspaceError: the embedding cannot be loaded.
     """
-    spec = _spec_of(find_task(task))
     arguments |= {"obs": obs, "reward": reward, "render_mode": render_mode}
-    if num_envs is None:
-        env = gymnasium.make(spec, **arguments)
+    found = find_training_task(task)
+    if isinstance(found, GymTask):
+        env = _make_gymnasium(found, num_envs, **arguments)
+    elif num_envs is None:
+        env = gymnasium.make(_spec_of(found), **arguments)
     else:
         env = gymnasium.make_vec(
-            spec, num_envs=num_envs, vectorization_mode="vector_entry_point", **arguments
+            _spec_of(found), num_envs=num_envs, vectorization_mode="vector_entry_point", **arguments
         )
     return env if embedding is None else wrap(env, embedding, mode)
 
@@ -124,6 +131,19 @@ def wrap(
         f"wrap takes a gymnasium.Env or a gymnasium.vector.VectorEnv, got {kind}: convert it first, for "
         "example with Shimmy."
     )
+
+
+def _make_gymnasium(
+    task: GymTask, num_envs: int | None, obs: str, reward: str, render_mode: str | None, **arguments: Any
+) -> gymnasium.Env[Any, Any] | VectorEnv[Any, Any, Any]:
+    """Make the environment of a Gymnasium task, or many of them in one process."""
+    find_name(f"observation type of {task.name}", obs, task.obs_types)
+    find_name(f"reward type of {task.name}", reward, task.reward_types)
+    if arguments:
+        raise UsageError(f"give the arguments of {task.name} to its GymTask, got {quoted(arguments)}.")
+    if num_envs is None:
+        return GymTaskEnv(task, render_mode)
+    return SyncVectorEnv([partial(GymTaskEnv, task, render_mode)] * num_envs)
 
 
 def _spec_of(task: Task) -> EnvSpec:

@@ -11,6 +11,7 @@ from gymnasium.spaces import Box
 
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
+from planspace.tasks.env_state import JointReader, joint_reader
 
 StateSource = Callable[[Any, dict[str, Any]], np.ndarray]
 """(observation, info) to the embedding's states, with the leading axes of the observation."""
@@ -41,13 +42,11 @@ class _Attribute:
 class _Joints:
     """Reads positions, velocities and activations of a MuJoCo environment."""
 
-    env: Any
-    space: Any
-    """A `StateSpace`."""
+    read: JointReader
     columns: list[int]
 
     def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
-        return self.space.read(self.env.data.qpos, self.env.data.qvel, self.env.data.act)[self.columns]
+        return self.read()[self.columns]
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,8 @@ def state_source(
                 f"attribute `state`. {_columns_help(embedding)}"
             )
         return _Attribute(inner, _found(embedding, names))
-    if type(getattr(inner, "model", None)).__name__ == "MjModel":
-        return _of_mujoco(inner, embedding)
+    if reader := joint_reader(env):
+        return _Joints(reader, _found(embedding, reader.names))
     raise UsageError(
         "the states cannot be read: the environment has neither attributes `state` and `state_names` nor "
         f"MuJoCo's `model` and `data`. {_columns_help(embedding)}"
@@ -144,15 +143,6 @@ def source_of_columns(
     if not all(0 <= c < space.shape[0] for c in columns):
         raise UsageError(f"columns {list(columns)} reach outside an observation of {space.shape[0]} numbers.")
     return _Columns(columns)
-
-
-def _of_mujoco(inner: Any, embedding: Embedding) -> StateSource:
-    from planspace.physics.space import StateSpace  # imports MuJoCo, which such an environment has imported
-
-    model = inner.model
-    joints = [model.joint(i).name for i in range(model.njnt) if model.joint(i).name]
-    space = StateSpace.from_model(model, joints)
-    return _Joints(inner, space, _found(embedding, space.names))
 
 
 def _names_of_vector(inner: Any) -> Sequence[str] | None:

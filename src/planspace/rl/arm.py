@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import Episodes
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.rollout import ActFn, Rollout, collect
 from planspace.rl.shaping import Shaping
-from planspace.tasks.task import Task
+from planspace.tasks.gymnasium import AnyTask
 
 
 @dataclass(frozen=True)
@@ -21,20 +21,20 @@ class Arm:
     """The settings of the run."""
     observer: Observer
     """What policy and critic observe."""
-    batch: TaskBatch
+    episodes: Episodes
     """The environments, seed by seed, the same number for each seed."""
     shaping: Shaping | None = None
     """The shaping reward, if there is any."""
 
     @property
-    def task(self) -> Task:
+    def task(self) -> AnyTask:
         """The task."""
-        return self.batch.task
+        return self.episodes.task
 
     @property
     def num_envs(self) -> int:
         """Environments per seed."""
-        return len(self.batch.states) // self.config.num_seeds
+        return len(self.episodes.states) // self.config.num_seeds
 
     @property
     def steps(self) -> int:
@@ -44,7 +44,7 @@ class Arm:
     @property
     def num_actions(self) -> int:
         """Numbers in an action."""
-        return len(self.batch.simulator.control_low)
+        return len(self.episodes.action_limits[0])
 
     @property
     def num_policy_obs(self) -> int:
@@ -71,4 +71,4 @@ class Arm:
                 shaping reward depends on it.
         """
         shape = None if self.shaping is None else self.shaping.reward_fn(discount, bootstrap_timeout)
-        return collect(self.batch, self.observer, act, self.task.horizon, rngs, shape=shape)
+        return collect(self.episodes, self.observer, act, self.task.horizon, rngs, shape=shape)

@@ -16,7 +16,7 @@ from planspace.rl.stack import stacked_layers
 from planspace.storage.arrays import Arrays
 from planspace.storage.provenance import Provenance
 from planspace.tasks.catalog import shipped_tasks
-from planspace.tasks.task import Task
+from planspace.tasks.stored_task import task_content
 
 
 def export_policies(
@@ -42,10 +42,11 @@ def export_policies(
             if not (out / folder / DESCRIPTION).exists():
                 embedding.save(out / folder)
     columns = observer.policy_columns
-    simulator, shipped = arm.batch.simulator, is_shipped(arm.task)
+    content = task_content(arm.task)
+    low, high = arm.episodes.action_limits
     about = PoliciesInfo(
         task=arm.task.name,
-        env_id=arm.task.env_id if shipped else None,
+        env_id=None if content else shipped_tasks()[arm.task.name].env_id,
         obs=config.obs,
         reward=config.reward,
         z=config.z,
@@ -53,21 +54,15 @@ def export_policies(
         num_obs=observer.num_obs,
         columns=[columns.start, columns.stop],
         layer_norm=networks[0].layer_norm,
-        action_low=finite_or_none(simulator.control_low.tolist()),
-        action_high=finite_or_none(simulator.control_high.tolist()),
+        action_low=finite_or_none(low.tolist()),
+        action_high=finite_or_none(high.tolist()),
         seeds=list(config.seeds),
         embeddings=[folders[seed % len(folders)] for seed in config.seeds if config.needs_embedding],
         returns=finite_or_none(returns),
         versions=Provenance.current().plain(),
+        **content,
     )
-    if not shipped:
-        about["task_sha256"] = arm.task.hash
     save_policies(out, _arrays(networks), about)
-
-
-def is_shipped(task: Task) -> bool:
-    """Whether planspace ships the task, so that its name says everything."""
-    return shipped_tasks().get(task.name) == task
 
 
 def _arrays(networks: Sequence[PolicyNetwork]) -> Arrays:

@@ -9,15 +9,15 @@ from jaxtyping import Float
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
 from planspace.rl.config import ZMode, ZTarget
+from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.observation_types import ObservationType
-from planspace.tasks.task import Task
 
 
 @dataclass(frozen=True)
 class Observer:
     """Turns states and targets into observations, and tells which columns policy and critic read."""
 
-    task: Task
+    task: AnyTask
     obs: ObservationType
     z: ZMode
     z_to: ZTarget
@@ -93,9 +93,9 @@ class Observer:
     @cached_property
     def _embedded_columns(self) -> list[list[int]]:
         """The columns of the task's state that each embedding reads."""
-        _, space = self.task.compile()
+        names = self.task.state_names
         try:
-            return [list(embedding.columns_of(space.names)) for embedding in self.embeddings]
+            return [list(embedding.columns_of(names)) for embedding in self.embeddings]
         except UsageError as error:
             raise UsageError(f"task {self.task.name}: {error}") from None
 

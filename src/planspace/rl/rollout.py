@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import Episodes
 from planspace.errors import UsageError
 from planspace.rl.algorithm import HOW_TO
 from planspace.rl.observe import Observer
@@ -31,7 +31,7 @@ class Rollout:
     """Steps from the start of the episode to the action."""
     terminated: Bool[np.ndarray, "time *seed env"]
     timeout: Bool[np.ndarray, "time *seed env"]
-    """Whether the episode reached the task's horizon there."""
+    """Whether the episode reached its time limit there."""
     cut: Bool[np.ndarray, "time *seed env"]
     """Whether the record ends there within an episode: at the end of the iteration, or where physics
     diverged."""
@@ -44,7 +44,7 @@ class Rollout:
 
 
 def collect(
-    batch: TaskBatch,
+    episodes: Episodes,
     observer: Observer,
     act: ActFn,
     num_steps: int,
@@ -55,44 +55,41 @@ def collect(
     """Run every environment for `num_steps` from fresh episodes; when an episode ends, the next begins.
 
     Args:
-        batch: the environments of all seeds, seed by seed.
+        episodes: the environments of all seeds, seed by seed.
         observer: what the policy and critic see.
         act: the actions of all seeds.
         num_steps: steps of each environment.
         rngs: one stream per seed; the starts and noise of a seed come from its own stream only.
         shape: the shaping reward, if there is any.
     """
-    task, num_seeds = batch.task, len(rngs)
-    num_envs = len(batch.states) // num_seeds
+    num_seeds, num_actions = len(rngs), len(episodes.action_limits[0])
+    num_envs = len(episodes.states) // num_seeds
     size = (num_steps, num_seeds, num_envs)
-    num_actions = len(batch.simulator.control_low)
-    starts = [task.sample_starts(num_envs, rng) for rng in rngs]
+    episodes.reset(rngs)
     noise = np.stack([rng.standard_normal((num_steps, num_envs, num_actions)) for rng in rngs], axis=1)
-    batch.reset(*(np.concatenate(part) for part in zip(*starts, strict=True)))
-    obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+    obs = observer(episodes.states, episodes.targets).reshape(num_seeds, num_envs, -1)
     record = _empty_rollout(size, obs.shape[-1], num_actions)
     since_start = np.zeros(size[1:], int)
     for t in range(num_steps):
         actions = act(obs, noise[t])
         if np.shape(actions) != noise[t].shape:
             raise wrong_actions(np.shape(actions), noise[t].shape)
-        before = batch.states
-        rewards, terminated, diverged = batch.step(actions.reshape(-1, num_actions))
+        before = episodes.states
+        steps = episodes.step(actions.reshape(-1, num_actions))
         record.obs[t], record.actions[t], record.step[t] = obs, actions, since_start
-        record.rewards[t], record.terminated[t] = rewards.reshape(size[1:]), terminated.reshape(size[1:])
+        for name, numbers in steps._asdict().items():
+            getattr(record, name)[t] = numbers.reshape(size[1:])
         since_start = since_start + 1
-        record.timeout[t] = ~record.terminated[t] & (since_start >= task.horizon)
-        record.cut[t] = diverged.reshape(size[1:])
         if shape is not None:
-            paid = shape(before, batch.states, terminated, record.timeout[t].ravel())
+            paid = shape(before, episodes.states, steps.terminated, steps.timeout)
             record.shaping[t] = paid.reshape(size[1:])
-        obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+        obs = observer(episodes.states, episodes.targets).reshape(num_seeds, num_envs, -1)
         record.next_obs[t] = obs
         ended = record.terminated[t] | record.timeout[t] | record.cut[t]
         if ended.any() and t + 1 < num_steps:
-            _restart(batch, ended, rngs)
+            episodes.reset(rngs, ended)
             since_start = np.where(ended, 0, since_start)
-            obs = observer(batch.states, batch.targets).reshape(num_seeds, num_envs, -1)
+            obs = observer(episodes.states, episodes.targets).reshape(num_seeds, num_envs, -1)
     record.cut[-1] |= ~(record.terminated[-1] | record.timeout[-1])
     return record
 
@@ -107,17 +104,9 @@ def _empty_rollout(size: tuple[int, int, int], num_obs: int, num_actions: int) -
         step=np.empty(size, int),
         terminated=np.empty(size, bool),
         timeout=np.empty(size, bool),
-        cut=np.zeros(size, bool),
+        cut=np.empty(size, bool),
         next_obs=np.empty((*size, num_obs), np.float32),
     )
-
-
-def _restart(
-    batch: TaskBatch, ended: Bool[np.ndarray, "seed env"], rngs: Sequence[np.random.Generator]
-) -> None:
-    starts = [batch.task.sample_starts(int(n), rng) for n, rng in zip(ended.sum(axis=1), rngs, strict=True)]
-    states, targets = (np.concatenate(part) for part in zip(*starts, strict=True))
-    batch.reset(states, targets, np.flatnonzero(ended).astype(np.int32))
 
 
 def wrong_actions(got: tuple[int, ...], wanted: tuple[int, ...]) -> UsageError:

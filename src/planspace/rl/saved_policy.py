@@ -21,12 +21,11 @@ from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
 from planspace.tasks.catalog import TASKS
-from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType
+from planspace.tasks.gymnasium import parse_gym_task
+from planspace.tasks.observation_types import MAX_OBS, OBSERVATION_TYPES, ObservationType, RewardType
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
-MAX_OBS = 100_000
-"""A file that says that its policies observe more numbers is rejected."""
 ALLOWED = {
     "obs": OBSERVATION_TYPES,
     "reward": get_args(RewardType),
@@ -44,6 +43,8 @@ class PoliciesInfo(TypedDict):
     """Its Gymnasium id; None for a task that planspace does not ship."""
     task_sha256: NotRequired[str]
     """Hash of the content of a task that planspace does not ship."""
+    environment: NotRequired[dict[str, Any]]
+    """Id and arguments of a Gymnasium environment; see `GymTask.plain`."""
     obs: ObservationType
     reward: NotRequired[RewardType]
     z: ZMode
@@ -103,9 +104,10 @@ class Policy:
                 not finite.
         """
         if obs.shape[-1] != self.about["num_obs"]:
+            task = self.about["env_id"] or self.about["task"]
             raise PlanspaceError(
                 f"the policy was trained on observations of {self.about['num_obs']} numbers "
-                f"({self.about['env_id']}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
+                f"({task}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
                 f"got {obs.shape[-1]}."
             )
         with np.errstate(all="ignore"):  # checked below
@@ -208,6 +210,8 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
             f"{file} names the environment {quoted(env_id)} for the task {quoted(task)}; planspace has none "
             "such for it. Train the policy anew with `planspace train`, or upgrade planspace."
         )
+    if "environment" in about:
+        parse_gym_task(about["environment"])
     for name, known in ALLOWED.items():
         if about.get(name, "dense" if name == "reward" else None) not in known:
             raise ValueError(f"{name} is {quoted(about.get(name))}")

@@ -19,6 +19,7 @@ from planspace.plan.linearise import at_rest
 from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import ShapeFn
 from planspace.tasks.problem import Goal
+from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 
@@ -39,7 +40,7 @@ class Shaping:
     """Return from a mean start to the goal."""
 
     @classmethod
-    def of(cls, config: TrainConfig, task: Task, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
+    def of(cls, config: TrainConfig, task: AnyTask, embeddings: tuple[Embedding, ...]) -> "Shaping | None":
         """The shaping of an arm, if it has any.
 
         Args:
@@ -52,6 +53,8 @@ class Shaping:
         """
         if config.shaping == "none":
             return None
+        if not isinstance(task, Task):
+            raise UsageError(f"shaping needs a goal, but {task.name} has none: leave out --shaping.")
         goal = _goal(task)
         _, space = task.compile()
         if config.shaping == "raw":

@@ -1,5 +1,6 @@
 """Training: one arm (task, algorithm, observation), all its seeds in one program."""
 
+import contextlib
 import re
 import time
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import jax.random as jr
 import numpy as np
 
 from planspace.embed.embedding import Embedding
-from planspace.envs.batch import TaskBatch
+from planspace.envs.episodes import make_episodes
 from planspace.errors import UsageError
 from planspace.progress import progress, progress_shown
 from planspace.rl.algorithm import Algorithm, Diverged
@@ -27,7 +28,7 @@ from planspace.rl.checks import (
     checked_update,
 )
 from planspace.rl.config import TrainConfig
-from planspace.rl.export import export_policies, is_shipped
+from planspace.rl.export import export_policies
 from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
 from planspace.rl.observe import Observer
 from planspace.rl.policy_network import Actor, PolicyNetwork
@@ -41,9 +42,9 @@ from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import TrackerName, open_trackers
-from planspace.tasks.catalog import find_task
-from planspace.tasks.stored_task import save_task
-from planspace.tasks.task import Task, find_reward_type
+from planspace.tasks.gymnasium import AnyTask, find_training_task
+from planspace.tasks.observation_types import find_name
+from planspace.tasks.stored_task import save_task, task_content
 from planspace.workers import count_cores
 
 CHECKPOINT_EVERY = 10
@@ -82,7 +83,7 @@ class _Training:
 
 
 def train_policies(
-    task: str | Path | Task,
+    task: str | Path | AnyTask,
     config: TrainConfig | None = None,
     *,
     algorithm: Algorithm | str | None = None,
@@ -97,7 +98,8 @@ def train_policies(
     does not depend on the other seeds.
 
     Args:
-        task: a task, the name of a shipped one, or the path of a problem file (`.yaml`).
+        task: a task, the name of a shipped one, the path of a problem file (`.yaml`), or a Gymnasium
+            environment as `gym:ID` or `GymTask`.
         config: settings; by default 5 seeds of TRPO.
         algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
             replaces that of `config`.
@@ -111,14 +113,16 @@ def train_policies(
         PlanspaceError: the folder holds a run with other settings, or cannot be written.
         UsageError: settings, task, algorithm and embedding do not fit together.
     """
-    task = find_task(task)
+    task = find_training_task(task)
     config = _with_algorithm(config or TrainConfig(), algorithm)
-    find_reward_type(config.reward, task)
+    find_name(f"reward type of {task.name}", config.reward, task.reward_types)
+    find_name(f"observation type of {task.name}", config.obs, task.obs_types)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
     per_seed = _embedding_of_seeds(given, config)
     observed = per_seed if config.z != "none" else ()
     observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds)
     shaping = Shaping.of(config, task, per_seed)
+    num = config.num_seeds * num_episodes(task, config.batch_steps)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
     with lock_folder(run):
@@ -127,10 +131,9 @@ def train_policies(
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:
-            num = config.num_seeds * num_episodes(task, config.batch_steps)
-            batch = TaskBatch(task, num, reward=config.reward)
-            with progress_shown(verbose):
-                history = _train(Arm(config, observer, batch, shaping), given, run, track)
+            episodes = make_episodes(task, num, config.reward)
+            with contextlib.closing(episodes), progress_shown(verbose):
+                history = _train(Arm(config, observer, episodes, shaping), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
 
 
@@ -141,7 +144,7 @@ def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> T
     return replace(config, algorithm=find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm)
 
 
-def num_episodes(task: Task, batch_steps: int) -> int:
+def num_episodes(task: AnyTask, batch_steps: int) -> int:
     """Number of environments per seed: the number of whole episodes closest to `batch_steps`."""
     return max(1, round(batch_steps / task.horizon))
 
@@ -180,15 +183,14 @@ def _embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) 
     return tuple(embeddings[seed % len(embeddings)] for seed in config.seeds)
 
 
-def _settings(task: Task, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
+def _settings(task: AnyTask, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
     """The content of `config.json`; `read_settings` reads it."""
-    content = {} if is_shipped(task) else {"task_sha256": task.hash}
     return {
         "task": task.name,
-        **content,
+        **task_content(task),
         **plain_settings(config),
         "embeddings": [embedding.hash for embedding in embeddings],
-        "versions": Provenance.current("mujoco", "jax").plain(),
+        "versions": Provenance.current("mujoco", "jax").plain() | task.versions,
     }
 
 
@@ -311,7 +313,7 @@ def _evaluate(training: _Training, state: _State, number: int) -> _State:
     rngs = [np.random.default_rng(EVALUATION_SEED) for _ in arm.config.seeds]
     deterministic = [replace(network, log_std=None) for network in _networks(training, state)]
     actor = Actor(deterministic, arm.observer.policy_columns)
-    rollout = collect(arm.batch, arm.observer, actor, arm.task.horizon, rngs)
+    rollout = collect(arm.episodes, arm.observer, actor, arm.task.horizon, rngs)
     return state._replace(history=with_row(state.history, {EVALUATION: first_returns(rollout)}, number))
 
 

@@ -13,7 +13,6 @@ from planspace.errors import PartialResult, PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
 from planspace.rl.config import TrainConfig
-from planspace.rl.export import is_shipped
 from planspace.rl.history import frozen_seeds
 from planspace.rl.training import train_policies
 from planspace.storage.checks import CONFIG
@@ -24,7 +23,7 @@ from planspace.study.run_summary import ArmReturns, DemosSummary, GeometrySummar
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
-from planspace.tasks.stored_task import save_task, stored_task
+from planspace.tasks.stored_task import save_task, stored_task, task_content
 from planspace.tasks.task import Task
 
 BudgetName = Literal["smoke", "small", "full"]
@@ -165,11 +164,10 @@ def rebuild(out: Path) -> RunSummary:
 
 def _config(task: Task, budget_name: str, budget: Budget, seed: int) -> dict[str, Any]:
     """The content of `config.json`."""
-    content = {} if is_shipped(task) else {"task_sha256": task.hash}
     return {
         "command": "run",
         "task": task.name,
-        **content,
+        **task_content(task),
         "budget": budget_name,
         "seed": seed,
         "settings": asdict(budget),

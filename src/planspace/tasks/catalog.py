@@ -16,6 +16,8 @@ def shipped_tasks() -> dict[str, Task]:
     return {task.name: task for task in tasks}
 
 
+GYM_PREFIX = "gym:"
+"""Start of the name of a Gymnasium environment as a task; see `tasks.gymnasium`."""
 TASKS: dict[str, Task] = shipped_tasks()
 """The tasks that can be named: the shipped ones, and those that `add_task` added in this process."""
 
@@ -43,6 +45,12 @@ def find_task(task: str | Path | Task) -> Task:
     """
     if isinstance(task, Task):
         return task
+    if (name := str(getattr(task, "name", task))).startswith(GYM_PREFIX):
+        raise UsageError(
+            f"{name} is a Gymnasium environment, which has no planning problem: import demonstrations with "
+            "`planspace demos import`, fit an embedding with `planspace embed`, and train policies with "
+            f"`planspace train {name} --embedding DIR --z augment`."
+        )
     if not isinstance(task, str | Path):
         raise UsageError(f"expected a task or its name, got {quoted(task)}. See {PAGE}.")
     if is_problem_file(task):

@@ -14,6 +14,8 @@ ObservationType = Literal["raw", "wrapped", "trig"]
 """`raw`: the task's observation, angles as they are; `wrapped`: the same with the angles of unlimited hinges
 mapped to (-pi, pi]; `trig`: raw plus the sine and cosine of the task's angles."""
 OBSERVATION_TYPES: tuple[ObservationType, ...] = get_args(ObservationType)
+MAX_OBS = 100_000
+"""Largest number of numbers in an observation."""
 
 
 def find_observation_type(name: str) -> ObservationType:

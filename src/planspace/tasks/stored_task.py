@@ -7,6 +7,8 @@ import yaml
 
 from planspace.errors import PlanspaceError
 from planspace.storage.files import make_folder, write_bytes
+from planspace.tasks.catalog import shipped_tasks
+from planspace.tasks.gymnasium import AnyTask, GymTask
 from planspace.tasks.problem import Box, Problem
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.problem_task import GoalTask, task_of_problem
@@ -17,20 +19,28 @@ FOLDER = "task"
 """The folder in a run that holds its task."""
 
 
-def save_task(task: Task, run: Path) -> None:
+def save_task(task: AnyTask, run: Path) -> None:
     """Write the task of a problem into a run, so that its policies can be played without the user's file.
 
-    A task with functions of the user's own is not written, because a file holds no code.
+    A task with functions of the user's own is not written, because a file holds no code. A Gymnasium
+    environment is described in the settings of its run.
 
     Raises:
         PlanspaceError: a file cannot be written.
     """
-    functions = getattr(task.reward, "__self__", None)
+    functions = getattr(task.reward, "__self__", None) if isinstance(task, Task) else None
     if not isinstance(functions, GoalTask) or functions.problem.predicate is not None:
         return
     problem, folder = functions.problem, make_folder(run / FOLDER)
     problem.source.write(folder)
     write_bytes(folder / f"{task.name}.yaml", problem_yaml(problem).encode())
+
+
+def task_content(task: AnyTask) -> dict[str, Any]:
+    """What a run records of its task besides the name: nothing if planspace ships it."""
+    if isinstance(task, GymTask):
+        return {"environment": task.plain()}
+    return {} if shipped_tasks().get(task.name) == task else {"task_sha256": task.hash}
 
 
 def stored_task(run: Path) -> Task | None:

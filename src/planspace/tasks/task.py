@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from planspace.errors import UsageError, quoted
 from planspace.mjcf.source import ModelSource
 from planspace.physics.angles import wrap
-from planspace.tasks.observation_types import ObservationType, RewardType, find_name
+from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType, find_name
 from planspace.tasks.source_hash import function_settings
 
 if TYPE_CHECKING:  # importing planspace registers its tasks, and must not import MuJoCo
@@ -178,6 +178,11 @@ class Task:
         return str(self.problem) if isinstance(self.problem, str | Path) else self.problem.name
 
     @property
+    def versions(self) -> dict[str, str]:
+        """Versions of the packages that provide the task, besides planspace and MuJoCo; none."""
+        return {}
+
+    @property
     def hash(self) -> str:
         """SHA-256 of everything that defines the task: model, numbers and the source of its functions."""
         from planspace.storage.json_files import json_hash
@@ -203,6 +208,16 @@ class Task:
     def sin_cos_columns(self) -> tuple[int, ...]:
         """Columns of the state whose sine and cosine the `trig` observation appends."""
         return self.space.circular_columns if self.trig_columns is None else self.trig_columns
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Name of each number of a state."""
+        return self.space.names
+
+    @property
+    def obs_types(self) -> tuple[ObservationType, ...]:
+        """The observation types that the task has."""
+        return OBSERVATION_TYPES
 
     @property
     def reward_types(self) -> tuple[RewardType, ...]:

@@ -1,0 +1,116 @@
+"""The environment of a `GymTask`: flat observations, clipped actions, and a planning state."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, flatten
+
+from planspace.errors import PlanspaceError
+from planspace.tasks.env_state import state_reader
+from planspace.tasks.gymnasium import GymTask
+
+RGB_ARRAY = "rgb_array"
+DEFAULT_FPS = 30
+"""Steps in a second, for an environment that does not say how long a step lasts."""
+
+
+class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One environment of a `GymTask`, with the interface of `TaskEnv`.
+
+    Observations are flat and float32. `info["state"]` and the attribute `state` hold the planning state,
+    which an embedding reads; `state_names` names its numbers. What the environment raises, and numbers that
+    are not finite, become a `PlanspaceError` that names the environment.
+    """
+
+    def __init__(self, task: GymTask, render_mode: str | None = None):
+        """Make the environment.
+
+        Args:
+            task: the task.
+            render_mode: a render mode of the environment, or None.
+
+        Raises:
+            UsageError: the environment cannot be made, or policies cannot be trained on it.
+        """
+        self.task = task
+        sizes = task.sizes
+        self.inner = task.make(render_mode)
+        self.render_mode, self.metadata = render_mode, self.inner.metadata
+        self.state_names = task.state_names
+        self.observation_space = Box(-np.inf, np.inf, (len(sizes.obs_names),), np.float32)
+        self.action_space = Box(sizes.action_low, sizes.action_high, dtype=sizes.action_low.dtype.type)
+        reader = state_reader(self.inner) if sizes.other_names else None
+        self._others = reader
+        self._columns = [reader.names.index(name) for name in sizes.other_names] if reader else []
+        self.state = np.zeros(len(self.state_names))
+
+    @property
+    def step_time(self) -> float:
+        """Duration of a step [s]."""
+        step = getattr(self.inner.unwrapped, "dt", None)  # Gymnasium's MuJoCo environments have it
+        if isinstance(step, int | float) and step > 0:
+            return float(step)
+        return 1.0 / (self.metadata.get("render_fps") or DEFAULT_FPS)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode.
+
+        Raises:
+            PlanspaceError: the environment fails.
+        """
+        try:
+            obs, info = self.inner.reset(seed=seed, options=options)
+        except Exception as error:  # whatever the environment raises
+            raise self._failure("reset", error) from error
+        return self._read(obs), {**info, "state": self.state.copy()}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Take one step with the action clipped to its limits.
+
+        Raises:
+            PlanspaceError: the environment fails, or returns a number that is not finite.
+        """
+        space = self.inner.action_space
+        clipped = np.clip(action, self.action_space.low, self.action_space.high)
+        try:
+            obs, reward, terminated, truncated, info = self.inner.step(
+                clipped.astype(space.dtype).reshape(space.shape)  # pyright: ignore[reportArgumentType]
+            )
+            reward = float(reward)
+        except Exception as error:  # whatever the environment raises
+            raise self._failure("step", error) from error
+        flat = self._read(obs)
+        if not np.isfinite(reward):
+            raise PlanspaceError(f"{self.task.name} returned a reward that is not finite ({reward}).")
+        return flat, reward, bool(terminated), bool(truncated), {**info, "state": self.state.copy()}
+
+    def render(self) -> Any:
+        """Return what the environment draws.
+
+        Raises:
+            PlanspaceError: it cannot be drawn here.
+        """
+        try:
+            return self.inner.render()
+        except Exception as error:  # any error of the graphics library
+            raise self._failure("render", error) from error
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.inner.close()
+
+    def _read(self, obs: Any) -> np.ndarray:
+        """Update the state, and return the flat observation."""
+        flat = np.asarray(flatten(self.inner.observation_space, obs), dtype=float)
+        self.state = flat if self._others is None else np.append(flat, self._others()[self._columns])
+        if not np.isfinite(self.state).all():
+            name = self.state_names[int(np.argmin(np.isfinite(self.state)))]
+            raise PlanspaceError(f"{self.task.name} returned a number that is not finite: {name}.")
+        return flat.astype(np.float32)
+
+    def _failure(self, method: str, error: Exception) -> PlanspaceError:
+        problem = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return PlanspaceError(f"{self.task.name} failed in `{method}`: {problem}")
