@@ -88,9 +88,9 @@ class Train:
         task = find_training_task(load_or_name(self.task))
         if self.out is None:
             raise UsageError("`--out DIR` is required: the folder of the run.")
+        self._print_rounding(task)
         if isinstance(task, GymTask):
             print(f"{task.name}: {GYM_HELP}", file=sys.stderr)
-        self._print_rounding(task)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
         trained = train_policies(task, self.config, embedding=embeddings, out=self.out, track=self.track)

@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from planspace.demos.render import FilmConfig, render_demos, write_film
 from planspace.demos.state_info import StateInfo
 from planspace.envs import make as envs
 from planspace.errors import UsageError
+from planspace.physics.rendering import rendering_backend
 from planspace.progress import progress
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
@@ -126,6 +128,8 @@ def film(policy: Policy, demos: Demos, file: Path, task: AnyTask | None = None) 
     if demos.info.source is not None:
         render_demos(demos, file, config)
         return
+    if backend := rendering_backend():
+        os.environ.setdefault("MUJOCO_GL", backend)  # what Gymnasium tries first may fail
     env = make_env(policy, task, "rgb_array")  # it draws itself, so the episodes are played again
     step = float(demos.times[1])
     every = max(1, round(1.0 / (config.fps * step)))
