@@ -18,8 +18,8 @@ from planspace.physics.simulator import Simulator
 from planspace.plan.linearise import at_rest
 from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import ShapeFn
-from planspace.tasks.problem import Goal
 from planspace.tasks.gymnasium import AnyTask
+from planspace.tasks.problem import Goal
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 

@@ -1,14 +1,11 @@
 """The planning state of an environment that planspace did not make: its own, or that of its MuJoCo joints."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
 from jaxtyping import Float
-
-if TYPE_CHECKING:  # it imports MuJoCo
-    from planspace.physics.space import StateSpace
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,8 @@ class JointReader:
     """Reads the positions and velocities of the MuJoCo joints that have names, and the activations."""
 
     env: gymnasium.Env[Any, Any]
-    space: "StateSpace"
+    space: Any
+    """A `StateSpace`."""
 
     @property
     def names(self) -> tuple[str, ...]:
