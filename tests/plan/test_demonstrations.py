@@ -132,3 +132,10 @@ def test_settings_of_version_0_1_0_are_read_under_today_s_names() -> None:
     assert upgrade_settings(ompl, 0.02)["config"] == plain_settings(config)  # pyright: ignore
     for malformed in ({}, {"planner": {}, "config": {}}, {"planner": "sst", "config": {"sst": 1}}):
         assert upgrade_settings(malformed, 0.02) == malformed  # pyright: ignore
+
+
+def test_settings_that_an_earlier_version_did_not_have_get_their_defaults() -> None:
+    config = PlanConfig(SST(extensions=256), restarts=3)
+    saved = {"planner": "sst", "config": plain_settings(config)}
+    del saved["config"]["planner"]["greedy"], saved["config"]["polish"]["shortcut_rounds"]  # pyright: ignore
+    assert upgrade_settings(saved, 0.02)["config"] == plain_settings(config)  # pyright: ignore

@@ -16,7 +16,16 @@ from planspace.plan.proof import replay_plan
 from planspace.tasks.problem import Box
 from planspace.tasks.problem_file import load_problem, shipped_problems
 
-SLOW = {"acrobot", "arm", "arm-kinematic", "quadrotor"}
+SLOW = {
+    "acrobot",
+    "arm",
+    "arm-kinematic",
+    "quadrotor",
+    "hopper-stand",
+    "pusher",
+    "finger-spin",
+    "cheetah-ahead",
+}
 
 
 def marked(name: str) -> Any:

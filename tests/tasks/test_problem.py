@@ -48,6 +48,15 @@ def test_a_random_goal_is_drawn_from_its_box(rng: np.random.Generator) -> None:
     assert (drawn[:, 2:] == 0).all()
 
 
+def test_only_problems_with_body_features_have_another_hash(tmp_path: Path) -> None:
+    """A dataset records the hash of its problem, so problems of earlier versions keep theirs."""
+    problem = load_problem("cartpole")
+    assert problem.hash == "e7819ef0a08b9a8c1bce7787f9f6f6c82372cf13260f6ce62c7dcd4b5d5abdc2"
+    named = load_problem(write(tmp_path, f"{GOOD}body_features: {{pole: 2}}\n"))
+    assert named.body_features == (("pole", 2.0),)
+    assert named.hash != replace(named, body_features=()).hash
+
+
 def test_a_problem_made_in_python_is_checked_and_has_a_short_repr() -> None:
     problem = load_problem("cartpole-swingup")
     assert load_problem(problem) is problem
@@ -107,6 +116,13 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
             "tolerance: 0.1",
             "tolerance: 0.1\ngoal_weights: [-1, 1, 1, 1]",
             "goal_weights: weights must not be neg",
+        ),
+        ("tolerance: 0.1", "tolerance: 0.1\nbody_features: [pole]", "expected bodies with their weights"),
+        ("tolerance: 0.1", "tolerance: 0.1\nbody_features: {pole: 0}", "body_features: must be positive"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\nbody_features: {poel: 1}",
+            "unknown body in body_features 'poel'. Did you mean 'pole'",
         ),
         (
             "tolerance: 0.1",

@@ -25,6 +25,8 @@ class PolishConfig:
 
     max_iterations: Annotated[int, arg(name="polish-max-iterations")] = 80
     """Linear programs in total, each followed by a simulation; 0 leaves the planner's path as it is."""
+    shortcut_rounds: Annotated[int, arg(name="polish-shortcut-rounds")] = 30
+    """Rounds of shortcuts by simulation, for plans with contacts; see `shortcut`. 0 makes none."""
     max_blocks: Annotated[int, arg(name="polish-max-blocks")] = 400
     """A plan with more steps of `polish_step_s` is polished in longer steps."""
     step_s: Annotated[float, arg(name="polish-step-s")] = 0.01
@@ -42,6 +44,7 @@ class PolishConfig:
             UsageError: a setting is out of its range.
         """
         check_setting("polish_max_iterations", self.max_iterations, self.max_iterations >= 0, "at least 0")
+        check_setting("polish_shortcut_rounds", self.shortcut_rounds, self.shortcut_rounds >= 0, "at least 0")
         check_setting("polish_max_blocks", self.max_blocks, self.max_blocks >= 1, "at least 1")
         check_setting("polish_step_s", self.step_s, self.step_s > 0, "above 0")
         check_setting("polish_landing", self.landing, 0 < self.landing <= 1, "above 0 and at most 1")

@@ -156,8 +156,8 @@ def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSetting
 def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSettings:
     """A manifest's settings as this version writes them.
 
-    Version 0.1.0 recorded the settings of all planners, used or not: `config.sst` and `config.ompl`, and
-    durations in physics steps.
+    Settings that an earlier version did not have get their defaults. Version 0.1.0 recorded the settings of
+    all planners, used or not: `config.sst` and `config.ompl`, and durations in physics steps.
 
     Args:
         settings: the settings of the manifest.
@@ -167,7 +167,8 @@ def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSett
     if not isinstance(config, dict) or not isinstance(name, str) or name not in PLANNERS:
         return settings
     group = name.partition("-")[0]
-    if not isinstance(own := config.get(group), dict):
+    own = config.get(group, config.get("planner"))
+    if not isinstance(own, dict):
         return settings
     parts = {"planner": own, "polish": config.get("polish"), "regulator": config.get("regulator")}
     defaults = {"planner": PLANNERS[name], "polish": PolishConfig(), "regulator": RegulatorConfig()}
@@ -175,7 +176,7 @@ def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSett
         part: plain_settings(defaults[part]) | in_seconds(saved or {}, time_step)
         for part, saved in parts.items()
     }
-    current["restarts"] = config.get("restarts") if group == SST.name else 1
+    current["restarts"] = config.get("restarts") if group == SST.name or group not in config else 1
     return settings | DatasetSettings(config=current)
 
 

@@ -21,6 +21,7 @@ from planspace.plan.polish import Polish
 from planspace.plan.proof import replay_plan
 from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
+from planspace.plan.shortcut import Shortcut, has_contacts
 from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem import Goal, Problem
 
@@ -85,7 +86,7 @@ class Pipeline:
         query = self.query(start, goal)
         best, nearest, reason = None, np.inf, ""
         for _ in range(self.config.num_searches):
-            plan = self._prove(query, search(self.config.planner, query, rng))
+            plan = self._prove(query, search(self.config.planner, query, rng), rng)
             if isinstance(plan, Failure):
                 nearest, reason = min(nearest, plan.nearest), plan.reason
             elif best is None or self._cost(plan) < self._cost(best):
@@ -107,15 +108,24 @@ class Pipeline:
             start = self.problem.draw_start(self.simulator, rng)
         return start, goal
 
-    def _prove(self, query: Query, found: Plan | Failure) -> Trajectory | Failure:
-        """The first way to end a path that passes the proof."""
+    def _prove(self, query: Query, found: Plan | Failure, rng: np.random.Generator) -> Trajectory | Failure:
+        """The first way to end a path that passes the proof, shortened by simulation if it has contacts."""
         failure = found if isinstance(found, Failure) else Failure("the planner returned an empty path")
         for controls in self._endings(query, found):
             plan = replay_plan(query, controls)
             if isinstance(plan, Trajectory):
-                return plan
+                return self._shortened(query, plan, rng)
             failure = Failure(plan.reason, min(failure.nearest, plan.nearest))
         return failure
+
+    def _shortened(self, query: Query, plan: Trajectory, rng: np.random.Generator) -> Trajectory:
+        config = self.config.polish
+        wanted = config.max_iterations and config.shortcut_rounds and self.problem.cost == "duration"
+        if not wanted or not has_contacts(query, plan.controls):
+            return plan
+        controls = Shortcut(self.simulator, query.goal, config, rng).run(query.start, plan.controls)
+        shorter = plan if controls is None else replay_plan(query, controls)
+        return shorter if isinstance(shorter, Trajectory) else plan
 
     def _endings(self, query: Query, found: Plan | Failure) -> Iterator[np.ndarray]:
         """Ways to end a path, the shortest first; each is tried only if those before it fail.

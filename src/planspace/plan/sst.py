@@ -49,6 +49,14 @@ class SST:
     """Fraction of extensions that aim at the goal."""
     bang_bang: float = 0.3
     """Fraction of controls drawn at the ends of their range instead of inside it."""
+    hold_last: float = 0.0
+    """Fraction of edges that go on with the action of the edge before them."""
+    servo: float = 0.0
+    """Fraction of the other edges that drive the motors' joints to a random pose, instead of applying one
+    control."""
+    greedy: float = 0.0
+    """Fraction of extensions that start from nodes near the goal, in the goal's measure, instead of nodes
+    near a random state."""
     selection_radius: float = 0.3
     """Best-near selection chooses the cheapest node within this feature distance."""
     witness_size: float = 0.08
@@ -74,7 +82,7 @@ class SST:
         check_setting("min_edge_s", least, 0 < least <= most, f"above 0 and at most max_edge_s, {most}")
         for name in ("seconds", "selection_radius"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
-        for name in ("goal_bias", "bang_bang"):
+        for name in ("goal_bias", "bang_bang", "hold_last", "servo", "greedy"):
             check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
         check_setting("shrink", self.shrink, 0 < self.shrink <= 1, "above 0 and at most 1")
         check_setting("witness_size", self.witness_size, self.witness_size > 0, "above 0")

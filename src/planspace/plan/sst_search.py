@@ -23,6 +23,7 @@ from jaxtyping import Float
 from planspace.physics.simulator import Simulator
 from planspace.plan.diagnosis import explain_failure
 from planspace.plan.durations import num_steps
+from planspace.plan.primitives import Edges, Servo
 from planspace.plan.query import Query
 from planspace.plan.sst import SST
 from planspace.plan.tree import Tree
@@ -33,6 +34,9 @@ LEAST_CELLS = 0.25
 """Edges are lengthened if they cross less than this part of a witness cell, in the median."""
 MAX_STRETCH = 32.0
 """Largest factor by which the duration of edges is multiplied."""
+GREED = 4.0
+"""Of n nodes ordered by distance to the goal, greedy selection draws number n u^GREED, with u uniform in
+[0, 1]: a third of the draws are among the nearest 1 %, whatever n is."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,8 @@ class SSTSearch:
         """
         self.config, self.start, self.rng = config, query.start, rng
         self.problem, self.regulator, self.goal = query.problem, query.regulator, query.goal
-        self.weights, self.simulator = query.weights, _large_enough(query.simulator, config)
+        self.simulator = _large_enough(query.simulator, config)
+        self.servo = Servo(self.simulator)
         self.space = self.simulator.space
         self.stride = num_steps(CHECK_S, self.simulator.model)
         self.stretch = 1.0
@@ -97,11 +102,10 @@ class SSTSearch:
                 tree.shrink(c.shrink)
             if tree.cells_per_edge < LEAST_CELLS and self.stretch < MAX_STRETCH:
                 self.stretch *= 2.0  # edges are too short: a heavy robot, or a velocity bound far too high
-            parents = tree.select(self._targets(), radius)
-            controls, durations = self._draw_edges()
-            ends, valid = self.simulator.propagate(tree.states[parents], controls, durations, self.stride)
-            steps += int(durations.sum())
-            new.append(tree.add(parents[valid], controls[valid], durations[valid], ends[valid]))
+            parents = self._select(tree, radius)
+            edges = self._draw_edges(tree, parents)
+            steps += int(edges.durations.sum())
+            new += self._extend(tree, parents, edges)
             if (round_index + 1) % c.tail_every == 0:
                 finish.consider(np.concatenate(new))
                 new = []
@@ -113,19 +117,57 @@ class SSTSearch:
             finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps, explanation
         )
 
-    def _explain(self, tree: Tree, radius: float) -> str:
-        parents = tree.select(self._targets(), radius)
-        return explain_failure(self.simulator, tree, parents, *self._draw_edges())
+    def _select(self, tree: Tree, radius: float) -> np.ndarray:
+        """The nodes to extend: those near random states, and a fraction of nodes near the goal."""
+        parents = tree.select(tree.features_of(self._targets()), radius)
+        if num := round(self.config.greedy * len(parents)):
+            nodes = tree.representatives()
+            order = nodes[np.argsort(self.goal.distance(tree.states[nodes]), kind="stable")]
+            ranks = len(order) * self.rng.random(num) ** GREED
+            parents[-num:] = order[ranks.astype(int)]
+        return parents
 
-    def _targets(self) -> Float[np.ndarray, "extension feature"]:
+    def _extend(self, tree: Tree, parents: np.ndarray, edges: Edges) -> list[np.ndarray]:
+        """Simulate the edges and add their ends to the tree; return the numbers of the new nodes."""
+        plain, new = np.flatnonzero(~edges.servos), []
+        if len(plain):
+            parent, controls, durations = parents[plain], edges.actions[plain], edges.durations[plain]
+            ends, valid = self.simulator.propagate(tree.states[parent], controls, durations, self.stride)
+            new.append(tree.add(parent[valid], controls[valid], durations[valid], ends[valid]))
+        if len(driven := np.flatnonzero(edges.servos)):
+            parent, aims, durations = parents[driven], edges.actions[driven], edges.durations[driven]
+            ends, valid, applied = self.servo.propagate(tree.states[parent], aims, durations, self.stride)
+            kept = [applied[i] for i in np.flatnonzero(valid)]
+            new.append(tree.add_servos(parent[valid], aims[valid], kept, ends[valid]))
+        return new
+
+    def _explain(self, tree: Tree, radius: float) -> str:
+        parents = self._select(tree, radius)
+        controls, durations = self._draw_controls()
+        return explain_failure(self.simulator, tree, parents, controls, durations)
+
+    def _targets(self) -> Float[np.ndarray, "extension state"]:
         c = self.config
         targets = self.space.sample(self.rng, c.extensions, self.problem.speed(self.space))
         goals = round(c.goal_bias * c.extensions)
         within = self.rng.uniform(-1.0, 1.0, (goals, self.space.tangent_size)) * self.goal.half
         targets[:goals] = self.space.integrate(self.goal.center, within)
-        return self.space.features(targets, self.weights)
+        return targets
 
-    def _draw_edges(self) -> tuple[np.ndarray, np.ndarray]:
+    def _draw_edges(self, tree: Tree, parents: np.ndarray) -> Edges:
+        """Draw what each edge does; see `primitives`."""
+        c = self.config
+        actions, durations = self._draw_controls()
+        servos = np.zeros(len(actions), dtype=bool)
+        if c.servo and len(self.servo.motors):
+            servos = self.rng.random(len(actions)) < c.servo
+            actions[servos] = self.servo.draw(self.rng, actions[servos])
+        if c.hold_last:
+            held = (self.rng.random(len(actions)) < c.hold_last) & (parents > 0)
+            actions[held], servos[held] = tree.controls[parents[held]], tree.servos[parents[held]]
+        return Edges(actions, servos, durations)
+
+    def _draw_controls(self) -> tuple[np.ndarray, np.ndarray]:
         c, low, high = self.config, self.simulator.control_low, self.simulator.control_high
         shape = (c.extensions, len(low))
         controls = self.rng.uniform(low, high, shape)

@@ -1,10 +1,13 @@
 """The tree of SST*: nodes as growing arrays, neighbour search, and witness cells."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from planspace.physics.simulator import Simulator
+from planspace.plan.features import Features
 from planspace.tasks.problem import Problem
 
 NEIGHBOURS = 8
@@ -31,11 +34,13 @@ class Tree:
         """
         self.problem, self.simulator, self.cell_size = problem, simulator, cell_size
         self.space = simulator.space
-        self.weights = problem.weights(self.space)
         self.states = root[None].copy()
-        self.features = self.space.features(self.states, self.weights)
+        self.features_of = Features(problem, simulator)
+        self.features = self.features_of(self.states)
         self.parents, self.durations, self.costs = np.array([-1]), np.array([0]), np.array([0.0])
         self.controls = np.zeros((1, len(simulator.control_low)))
+        self.servos = np.array([False])
+        self.sequences: dict[int, np.ndarray] = {}  # the controls of edges that servo, one per physics step
         self._hash = np.random.default_rng(0).integers(1, 1 << 62, self.features.shape[1]) * 2 + 1
         self._sort_into_cells()
         self.cells_per_edge = np.inf  # witness cells that the edges added last crossed, in the median
@@ -53,12 +58,51 @@ class Tree:
         choice = np.where(near, costs.argmin(axis=1), 0)
         return nodes[np.arange(len(nodes)), choice]
 
+    def representatives(self) -> np.ndarray:
+        """The node of each witness cell from which the tree grows."""
+        return self._winner
+
     def add(
         self, parents: np.ndarray, controls: np.ndarray, durations: np.ndarray, states: np.ndarray
     ) -> np.ndarray:
         """Add the nodes that are the cheapest in their witness cell; return their numbers."""
         costs = self.costs[parents] + durations * self.problem.step_cost(self.simulator, controls)
-        features = self.space.features(states, self.weights)
+        kept = self._add(parents, controls, durations, states, costs)
+        return len(self.costs) - len(kept) + np.arange(len(kept))
+
+    def add_servos(
+        self,
+        parents: np.ndarray,
+        aims: np.ndarray,
+        sequences: Sequence[np.ndarray],
+        states: np.ndarray,
+    ) -> np.ndarray:
+        """Add nodes at the ends of edges that servo, as `add` does; return their numbers.
+
+        Args:
+            parents: node from which each edge starts.
+            aims: action of each edge; see `primitives`.
+            sequences: controls of each edge, one per physics step.
+            states: end of each edge.
+        """
+        spent = [float(self.problem.step_cost(self.simulator, sequence).sum()) for sequence in sequences]
+        durations = np.array([len(sequence) for sequence in sequences], dtype=int)
+        kept = self._add(parents, aims, durations, states, self.costs[parents] + np.array(spent))
+        nodes = len(self.costs) - len(kept) + np.arange(len(kept))
+        self.servos[nodes] = True
+        self.sequences.update(zip(nodes.tolist(), (sequences[i] for i in kept), strict=True))
+        return nodes
+
+    def _add(
+        self,
+        parents: np.ndarray,
+        controls: np.ndarray,
+        durations: np.ndarray,
+        states: np.ndarray,
+        costs: np.ndarray,
+    ) -> np.ndarray:
+        """Add the nodes that are the cheapest in their witness cell; return which were added."""
+        features = self.features_of(states)
         keys = self._keys(features)
         if len(parents):
             moved = np.abs(features - self.features[parents]).max(axis=1)
@@ -76,8 +120,9 @@ class Tree:
         self.controls = np.concatenate([self.controls, controls[kept]])
         self.durations = np.concatenate([self.durations, durations[kept]])
         self.costs = np.concatenate([self.costs, costs[kept]])
+        self.servos = np.concatenate([self.servos, np.zeros(len(kept), dtype=bool)])
         self._enter(first, [keys[i] for i in kept])
-        return first + np.arange(len(kept))
+        return kept
 
     def shrink(self, factor: float) -> None:
         """Shrink the witness cells and choose the representative of each again, among all nodes."""
@@ -91,7 +136,12 @@ class Tree:
             chain.append(node)
             node = int(self.parents[node])
         chain.reverse()
-        return np.repeat(self.controls[chain], self.durations[chain], axis=0)
+        if not self.sequences:
+            return np.repeat(self.controls[chain], self.durations[chain], axis=0)
+        edges = [
+            self.sequences.get(i, self.controls[i][None].repeat(self.durations[i], axis=0)) for i in chain
+        ]
+        return np.concatenate([self.controls[:0], *edges])
 
     def _sort_into_cells(self) -> None:
         self._cells: dict[int, int] = {}

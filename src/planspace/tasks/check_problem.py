@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.physics.constraints import MAX_DEPTH, TOLERANCE, Constraints
 from planspace.physics.simulator import Simulator, control_bounds
 from planspace.physics.space import StateSpace
@@ -42,6 +42,7 @@ def check_problem(problem: Problem, where: str) -> None:
             "the model, or leave out kinematic."
         )
     _check_sizes(problem, space, where)
+    _check_bodies(problem, model, where)
     _check_limits(model, space, where)
     _check_goal(problem, model, space, where)
     try:
@@ -79,6 +80,13 @@ def _check_activations(key: str, box: Box, space: StateSpace, where: str) -> Non
             f"{where}: {key}: {names[i]!r} must lie between {least[i]:g} and {most[i]:g}, as the model says; "
             f"got {low[i]:g} to {high[i]:g}."
         )
+
+
+def _check_bodies(problem: Problem, model: mujoco.MjModel, where: str) -> None:
+    known = [model.body(i).name for i in range(1, model.nbody)]
+    for body, _ in problem.body_features:
+        if body not in known:
+            raise UsageError(f"{where}: {unknown('body in body_features', body, known)}")
 
 
 def _check_limits(model: mujoco.MjModel, space: StateSpace, where: str) -> None:

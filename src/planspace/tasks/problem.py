@@ -82,6 +82,8 @@ class Problem:
     feature_weights: tuple[float, ...] = ()
     """Weight of each number of a tangent in nearest-neighbour search; empty means 1 / range. It may leave out
     the activations."""
+    body_features: tuple[tuple[str, float], ...] = ()
+    """(body, weight) of bodies whose positions in the world count in nearest-neighbour search, too [1/m]."""
     sample_velocity: tuple[float, ...] = ()
     """Exploration draws each velocity within plus and minus these [m/s or rad/s]; empty means its bound."""
     velocity_bound: tuple[float, ...] = (DEFAULT_VELOCITY_BOUND,)
@@ -240,6 +242,8 @@ class Problem:
         """SHA-256 of everything that plans depend on."""
         left_out = ("model", "task")
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in left_out}
+        if not self.body_features:
+            del own["body_features"]  # problems without it keep the hash that earlier versions recorded
         return json_hash(own | model_key(self.source))
 
 

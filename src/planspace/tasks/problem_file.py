@@ -108,6 +108,7 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
         tolerance=values.read(settings, "tolerance", values.positive),
         goal_weights=values.read(settings, "goal_weights", values.weights, ()),
         feature_weights=values.read(settings, "feature_weights", values.weights, ()),
+        body_features=values.read(settings, "body_features", values.body_features, ()),
         sample_velocity=values.read(settings, "sample_velocity", values.speeds, ()),
         velocity_bound=values.read(settings, "velocity_bound", values.speeds, (DEFAULT_VELOCITY_BOUND,)),
         position_bounds=values.read(settings, "position_bounds", values.position_bounds, ()),

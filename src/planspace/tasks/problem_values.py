@@ -62,6 +62,13 @@ def position_bounds(value: Any) -> tuple[tuple[str, tuple[float, ...], tuple[flo
     return tuple((str(name), *_sides(box)) for name, box in value.items())
 
 
+def body_features(value: Any) -> tuple[tuple[str, float], ...]:
+    """Read bodies with the weights of their positions."""
+    if not isinstance(value, dict):
+        raise TypeError(f"expected bodies with their weights, got {short(value)}")
+    return tuple((text(body), positive(weight)) for body, weight in value.items())
+
+
 def contacts(value: Any) -> Literal["none", "all"] | GeomPairs:
     """Read which contacts are forbidden."""
     if value in ("none", "all"):

@@ -71,6 +71,7 @@ def problem_yaml(problem: Problem) -> str:
         "tolerance": problem.tolerance,
         "goal_weights": list(problem.goal_weights),
         "feature_weights": list(problem.feature_weights),
+        "body_features": dict(problem.body_features),
         "sample_velocity": list(problem.sample_velocity),
         "velocity_bound": list(problem.velocity_bound),
         "position_bounds": {
