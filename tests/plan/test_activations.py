@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import planspace as ps
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import validate
 from planspace.demos.load import load_demos
@@ -109,6 +111,22 @@ def test_a_task_observes_activations(kind: str, tmp_path: Path) -> None:
     mujoco.mj_step(model, data, env.unwrapped.task.frame_skip)
     plain = np.concatenate([data.qpos, data.qvel, data.act])
     np.testing.assert_array_equal(env.unwrapped.state, plain)
+
+
+@pytest.mark.parametrize("kind", list(ACTUATORS))
+def test_a_controller_holds_a_goal_with_its_activations(kind: str, tmp_path: Path) -> None:
+    problem = load_problem(write_problem(tmp_path, kind))
+    config = ControlConfig(cost="reward", samples=16, horizon_s=0.2)
+    controller = ps.Controller(problem, config=config, threads=1)
+    plant = Plant.find(problem)
+    state = plant.goal(np.empty(0)).center
+    state[0] += 0.02
+    simulator = plant.simulator(1)
+    simulator.reset(state[None])
+    for _ in range(10):
+        simulator.step(controller(simulator.states()[0])[None], plant.task.frame_skip)
+        assert controller.regulated
+    assert abs(simulator.states()[0, 0] + 0.8) < 0.02
 
 
 def check_plans(demos: Demos, folder: Path) -> None:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
+from planspace.plan.linearise import at_rest
 from planspace.tasks.catalog import TASKS, find_task, is_problem_file
 from planspace.tasks.problem import Goal, Problem
 from planspace.tasks.problem_file import load_problem
@@ -91,10 +92,13 @@ class Plant:
         Args:
             target: the goal of a task whose goals are drawn; otherwise empty.
         """
-        if not len(target):
-            return self.problem.draw_goal(self.space, np.random.default_rng(0))
-        weights = np.array(self.problem.goal_weights or (1.0,) * self.space.tangent_size)
-        return Goal(self.space, target, np.zeros(self.space.tangent_size), weights, self.problem.tolerance)
+        problem, space = self.problem, self.space
+        if len(target):
+            weights = problem.weights_to_goal(space)
+            goal = Goal(space, target, np.zeros(space.tangent_size), weights, problem.tolerance)
+        else:
+            goal = problem.draw_goal(space, np.random.default_rng(0))
+        return at_rest(self.simulator(1), goal) if space.num_activations else goal
 
     def at_goal(
         self, states: Float[np.ndarray, "time state"], target: Float[np.ndarray, " target"]
