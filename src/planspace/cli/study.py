@@ -1,11 +1,12 @@
 """`planspace study`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from planspace.cli.config_files import load_or_name
 from planspace.cli.tables import counted
 from planspace.errors import PartialResult, UsageError
 
@@ -25,9 +26,15 @@ class Study:
     """paper: the paper's experiments and claims. controls: why an embedding helps. demos: what demonstrations
     an embedding needs. shaping: whether distance in z works as a shaping reward. recipe: how reliably the
     swing-up is learned."""
+    task: Positional[
+        Annotated[str, arg(metavar="[TASK]", help_behavior_hint="(default: the study's own)")]
+    ] = ""
+    """For recipe and controls: another task. The name of a shipped task; FILE.yaml, your own problem file; or
+    module.py:NAME, your own Task."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
-    """Folder of the results: DIR/NAME-BUDGET/report.html, and DIR/units with the result of each unit. Studies
-    with the same DIR share their common units. The same command resumes an interrupted study."""
+    """Folder of the results: DIR/NAME-BUDGET/report.html (for another task DIR/NAME-TASK-HASH-BUDGET), and
+    DIR/units with the result of each unit. Studies with the same DIR share their common units. The same
+    command resumes an interrupted study."""
     budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
     """Environment steps per seed. smoke: a few minutes in all, to see that it works. half: 1 M. full: 2 M.
     paper: 8 M, as in 2020."""
@@ -59,7 +66,8 @@ class Study:
             raise UsageError(f"which study? Choose one of {', '.join(STUDIES)}.")
         if self.workers < 0:
             raise UsageError(f"`--workers` must be 0 or more, got {self.workers}.")
-        study = make_study(self.name, self.budget, seeds=self.seeds)
+        study = make_study(self.name, self.budget, seeds=self.seeds, task=load_or_name(self.task))
+        study = replace(study, task=self.task)
         selected = study.only(self.only)
         failed = {} if self.report else self._run(selected)
         text = "".join(f" {line}." for line in failures(failed, study))

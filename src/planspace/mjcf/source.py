@@ -9,6 +9,7 @@ import posixpath
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -65,9 +66,14 @@ class ModelSource:
         """Describe the model as plain data, in which the SHA-256 of each file stands for its content."""
         return {
             "main": self.main,
-            "files": {name: hashlib.sha256(data).hexdigest() for name, data in self.contents.items()},
+            "files": dict(self._digests),
             "held": {name: list(position) for name, position in self.held},
         }
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        """The SHA-256 of each file."""
+        return {name: hashlib.sha256(data).hexdigest() for name, data in self.contents.items()}
 
     def write(self, folder: Path) -> None:
         """Write the files below a folder; a file that is there already stays.

@@ -7,8 +7,10 @@ from planspace.embed.config import PRESETS
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
 from planspace.study.design import RAW, SWING_UP, Arm, Builder, Claim, Study, better, panel_of
+from planspace.tasks.catalog import find_task
+from planspace.tasks.task import Task
 
-CONTROLLED: tuple[tuple[str, str], ...] = (
+CONTROLLED: tuple[tuple[str | Task, str], ...] = (
     (SWING_UP, "trpo"),
     (SWING_UP, "ppo"),
     ("reacher-raw", "trpo"),
@@ -29,13 +31,20 @@ NUM_OF: dict[str, int] = {"random": 3, "pca": 1}
 
 
 def controls(budget: str, grid: Builder) -> Study:
-    """Compare z with other observations, encoders and networks, on two tasks and with two algorithms."""
+    """Compare z with other observations, encoders and networks, on two tasks and with two algorithms.
+
+    A task of your own replaces the two tasks. One that has no sin and cos to add has no arms for them.
+    """
+    panels = [(grid.task, algo) for algo in ("trpo", "ppo")] if grid.task else CONTROLLED
+    arms = tuple(arm for task, algo in panels for arm in _arms(task, algo, grid))
+    names = {arm.name for arm in arms}
+    claims = (claim for task, algo in panels for claim in _claims(panel_of(task, algo)))
     return Study(
         "controls",
         budget,
         "Why does an embedding help?",
-        tuple(arm for task, algo in CONTROLLED for arm in _arms(task, algo, grid)),
-        tuple(claim for task, algo in CONTROLLED for claim in _claims(panel_of(task, algo))),
+        arms,
+        tuple(claim for claim in claims if {claim.arm, claim.other} <= names),
         (
             "z has 3 numbers in every arm. Embeddings use the preset modern except for the objective; "
             "policies use the preset paper. The policies of an arm use five embedding seeds in turn (the "
@@ -44,13 +53,16 @@ def controls(budget: str, grid: Builder) -> Study:
     )
 
 
-def _arms(task: str, algo: str, grid: Builder) -> Iterator[Arm]:
+def _arms(task: str | Task, algo: str, grid: Builder) -> Iterator[Arm]:
     panel, plans, base = panel_of(task, algo), grid.plans_for(task), TrainConfig(find_algorithm(algo))
     augment, fits = replace(base, z="augment"), grid.fits(plans, PRESETS["modern"])
     yield grid.arm(panel, RAW, task, base)
-    yield grid.arm(panel, TRIG, task, replace(base, obs="trig"))
+    has_angles = bool(find_task(task).sin_cos_columns)
+    if has_angles:
+        yield grid.arm(panel, TRIG, task, replace(base, obs="trig"))
     yield grid.arm(panel, Z, task, augment, fits)
-    yield grid.arm(panel, TRIG_Z, task, replace(augment, obs="trig"), fits)
+    if has_angles:
+        yield grid.arm(panel, TRIG_Z, task, replace(augment, obs="trig"), fits)
     yield grid.arm(panel, NORMALISED, task, base.with_hyperparameters(normalise_obs=True))
     for label, objective in OBJECTIVES.items():
         config = PRESETS["modern"].with_objective(objective)

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 from planspace.embed.config import FitConfig
@@ -10,6 +11,9 @@ from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 from planspace.tasks.catalog import find_task
+from planspace.tasks.problem import Problem
+from planspace.tasks.problem_file import load_problem, shipped_problems
+from planspace.tasks.task import Task
 
 Measure = Literal["final", "early", "whole", "best", "spread", "early_spread"]
 SPREADS: tuple[Measure, ...] = ("spread", "early_spread")
@@ -111,12 +115,17 @@ class Study:
     """Notes for readers of the report."""
     parts: tuple[str, ...] = ()
     """The arguments of `only`."""
+    task: str = ""
+    """The task as it was given, such as `crane.yaml`; empty for the study's own tasks."""
+    folder: str = ""
+    """The folder of the report; by default `NAME-BUDGET`."""
 
     @property
     def command(self) -> str:
         """The command that runs the study."""
+        task = f" {shlex.quote(self.task)}" if self.task else ""
         only = "".join(f" --only {shlex.quote(part)}" for part in self.parts)
-        return f"planspace study {self.name} --budget {self.budget}{only}"
+        return f"planspace study {self.name}{task} --budget {self.budget}{only}"
 
     @property
     def units(self) -> tuple[Unit, ...]:
@@ -149,12 +158,14 @@ class Builder:
     """Seeds per arm; 0 uses the study's number."""
     seed: int = 0
     """The first seed."""
+    task: str | Task = ""
+    """The task that the study is about; empty for the study's own tasks."""
 
     def arm(
         self,
         panel: str,
         label: str,
-        task: str,
+        task: str | Task,
         config: TrainConfig,
         fits: Iterable[FitUnit] = (),
         seeds: int = 0,
@@ -164,7 +175,7 @@ class Builder:
         Args:
             panel: the figure that shows the arm.
             label: the arm's name in the figure.
-            task: a shipped task.
+            task: the name of a shipped task, or a task of your own.
             config: settings of the arm. The budget sets steps and seeds.
             fits: the embeddings that provide z, used in turn.
             seeds: number of seeds; 0 uses the budget's number.
@@ -176,16 +187,28 @@ class Builder:
         configs = (replace(config, steps=self.budget.steps, seed=s, num_seeds=n) for s, n in blocks)
         return Arm(panel, label, tuple(PolicyUnit(task, c, fits) for c in configs))
 
-    def plans_for(self, task_name: str) -> PlansUnit:
-        """Demonstrations to train a task's embeddings."""
-        task = find_task(task_name)
-        return self.plans(str(task.embedding_problem or task.problem))
+    def plans_for(self, given: str | Task) -> PlansUnit:
+        """Demonstrations to train a task's embeddings.
 
-    def plans(self, problem: str, num: int = 0, **settings: int | float) -> PlansUnit:
+        Raises:
+            UsageError: the task has no planning problem.
+        """
+        task = find_task(given)
+        problem = task.embedding_problem or task.problem
+        if not problem:
+            raise UsageError(
+                f"task {task.name!r} has no planning problem, so a study cannot plan its demonstrations: set "
+                "its field `problem`."
+            )
+        return self.plans(problem)
+
+    def plans(self, problem: str | Path | Problem, num: int = 0, **settings: int | float) -> PlansUnit:
         """Demonstrations of a planning problem: `num`, or the budget's number if that is smaller."""
         if self.budget.restarts is not None:
             settings["restarts"] = self.budget.restarts
         num = min(num or self.budget.plans, self.budget.plans)
+        if not isinstance(problem, str) or problem not in shipped_problems():
+            problem = load_problem(problem)
         return PlansUnit(problem, num, tuple(sorted(settings.items())))
 
     def fit(self, plans: PlansUnit, config: FitConfig, **seeds: int) -> FitUnit:
@@ -211,6 +234,6 @@ def better(panel: str, text: str, arm: str, other: str) -> Claim:
     return Claim(f"{panel}: {text}", "ours", "final", f"{panel}/{arm}", f"{panel}/{other}")
 
 
-def panel_of(task: str, algo: str) -> str:
+def panel_of(task: str | Task, algo: str) -> str:
     """Name of the figure of a task and an algorithm."""
-    return f"{task}, {algo.upper()}"
+    return f"{find_task(task).name}, {algo.upper()}"

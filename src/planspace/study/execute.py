@@ -49,6 +49,8 @@ from planspace.study.results import (
 )
 from planspace.study.stick_figure import stick_film
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.tasks.catalog import find_task
+from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 from planspace.workers import CPU_INFO, count_cores
 
@@ -167,14 +169,22 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
         with suppress(PartialResult):  # use the plans that were found
             plan_into(problem, folder, num=unit.num, seed=unit.seed, config=config, workers=0)
     demos = load_demos(folder)
-    ends = demos.states[demos.offsets[1:] - 1]
-    _, space = demos.info.compile()
     return PlansResult(
         count=len(demos),
         median_duration_s=float(np.median(demos.times[demos.offsets[1:] - 1])),
-        reached=float(np.mean(space.distance(ends, demos.goals) <= problem.tolerance)),
+        reached=_fraction_at_goal(demos, problem),
         hash=demos.hash,
     )
+
+
+def _fraction_at_goal(demos: Demos, problem: Problem) -> float:
+    """The fraction of demonstrations that end within the tolerance of their goal."""
+    _, space = demos.info.compile()
+    outside = np.abs(space.difference(demos.states[demos.offsets[1:] - 1], demos.goals))
+    if not problem.goal_random:
+        outside = np.maximum(outside - problem.draw_goal(space, np.random.default_rng(0)).half, 0.0)
+    distances = np.sum(outside * problem.weights_to_goal(space), axis=-1)
+    return float(np.mean(distances <= problem.tolerance))
 
 
 def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
@@ -200,13 +210,14 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
 
 def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
     embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
-    history = train_policies(unit.task, unit.config, embedding=embeddings, out=folder).history
+    task = find_task(unit.task)
+    history = train_policies(task, unit.config, embedding=embeddings, out=folder).history
     returns, steps = history["return"], history["steps"]
     every = ITERATIONS_PER_ROW if len(returns) >= MIN_ITERATIONS else 1
     stops = [*range(every, len(returns), every), len(returns)]
     blocks = [returns[a:b].mean(axis=0) for a, b in zip([0, *stops[:-1]], stops, strict=True)]
     best = load_policy(folder)
-    _, played = play(best, 1, FILM_SEED)
+    _, played = play(best, 1, FILM_SEED, task)
     film = stick_film(played)
     return PoliciesResult(
         seeds=tuple(unit.config.seeds),
@@ -216,7 +227,7 @@ def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
         eval_steps=tuple(history["eval_steps"].tolist()),
         eval_returns=tuple(_round_all(history["eval_return"], 2)),
         embeddings=tuple(embedding.hash for embedding in embeddings),
-        film=Film(best.seed, film.seconds, film.poses),
+        film=None if film is None else Film(best.seed, film.seconds, film.poses),
     )
 
 

@@ -62,7 +62,7 @@ def named_fits(findings: Findings) -> dict[str, FitUnit]:
         for fit in arm.units[0].fits:
             if findings.done(fit) and fit.name not in seen:
                 seen.add(fit.name)
-                label = f"{fit.plans.problem}: {arm.label}"
+                label = f"{fit.plans.problem_name}: {arm.label}"
                 several = len(arm.units[0].fits) > 1
                 name = f"{label}, seed {fit.seed}" if several else label
                 named[name if name not in named else f"{name} ({arm.panel})"] = fit

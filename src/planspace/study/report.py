@@ -34,7 +34,8 @@ from planspace.study.results import Film, Paths, PoliciesResult, SeedRow
 from planspace.study.summary import ABOUT, folder_of_study, summarise
 from planspace.study.tables import ArmRow, StudySummary
 from planspace.study.tidy import FILE, write_tidy
-from planspace.study.unit import FitUnit, PlansUnit
+from planspace.study.unit import FitUnit
+from planspace.tasks.catalog import find_task
 
 SPACES = "demonstrations-in-z"
 """File name of the figure of demonstrations in z."""
@@ -51,6 +52,8 @@ class _Panel:
     name: str
     slug: str
     rows: list[ArmRow]
+    has_level: bool
+    """Whether the task has a return above which it counts as solved."""
     curves: str
     """Learning curves, as HTML."""
     profiles: str
@@ -145,6 +148,7 @@ def _panel(findings: Findings, name: str, arms: list[Arm], summary: StudySummary
         name=name,
         slug=slug(name),
         rows=rows,
+        has_level=any(find_task(arm.units[0].task).solved_return is not None for arm in arms),
         curves=embedded(interactive_curves(curves)),
         profiles=embedded(interactive_profiles(profiles)),
         films=[(arm.label, film) for arm in arms if (film := _film(findings, arm))],
@@ -220,9 +224,9 @@ def _spaces(findings: Findings) -> dict[str, Paths]:
     Embeddings that differ only in the seed or the number of demonstrations count as one kind. The first seed
     with the most demonstrations stands for its kind.
     """
-    kinds: dict[tuple[PlansUnit, FitConfig], tuple[str, FitUnit]] = {}
+    kinds: dict[tuple[str, FitConfig], tuple[str, FitUnit]] = {}
     for name, unit in named_fits(findings).items():
-        kind = (replace(unit.plans, num=0), unit.config)
+        kind = (replace(unit.plans, num=0).name, unit.config)
         _, known = kinds.get(kind, (name, unit))
         if kind not in kinds or unit.plans.num > known.plans.num:
             kinds[kind] = name, unit

@@ -22,13 +22,19 @@ class StickFilm(NamedTuple):
     """[pose][line] as x0, y0, x1, y1 in mm."""
 
 
-def stick_film(demos: Demos) -> StickFilm:
-    """Project the first episode onto the two world axes along which its robot moves most."""
+def stick_film(demos: Demos) -> StickFilm | None:
+    """Project the first episode onto the two world axes along which its robot moves most.
+
+    Returns:
+        The film; None if no geom of the robot moves.
+    """
     model, space = demos.info.compile()
     data = mujoco.MjData(model)
     episode = demos.episode(0)
     which = np.unique(np.linspace(0, len(episode.states) - 1, FRAMES).round().astype(int))
     moving = [g for g in range(model.ngeom) if model.body_weldid[model.geom_bodyid[g]] != 0]
+    if not moving:
+        return None
     poses = []
     for state in episode.states[which]:
         space.write(state, data.qpos, data.qvel, data.act)

@@ -34,7 +34,7 @@ ABOUT = "study.json"
 
 def folder_of_study(study: Study, out: Path) -> Path:
     """The folder of a study's report and `results.csv`."""
-    return out / f"{study.name}-{study.budget}"
+    return out / (study.folder or f"{study.name}-{study.budget}")
 
 
 def read_findings(study: Study, out: Path) -> Findings:
@@ -199,7 +199,7 @@ def _embedding(findings: Findings, name: str, unit: FitUnit) -> EmbeddingRow:
 def _plans(findings: Findings, unit: PlansUnit) -> PlansRow:
     found = findings.plans(unit)
     return PlansRow(
-        problem=unit.problem,
+        problem=unit.problem_name,
         source=unit.source,
         settings=dict(unit.settings),
         count=found.count,

@@ -1,8 +1,8 @@
 """The units of a study: demonstrations, embeddings, and policies of a few seeds.
 
 A unit is plain data. Its name contains a hash of everything it depends on, so a unit that two studies share
-is run once. Of a task, only the name is hashed: its content is fixed by the version of planspace, and all
-results in a folder are from one version.
+is run once. Of a shipped task, only the name is hashed: its content is fixed by the version of planspace, and
+all results in a folder are from one version. Of a user's own task and problem, the content is hashed too.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
@@ -13,7 +13,9 @@ from planspace.embed.config import FitConfig
 from planspace.rl.config import TrainConfig
 from planspace.seams import plain_settings
 from planspace.storage.json_files import json_hash
+from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
+from planspace.tasks.task import Task
 
 PlanSource = Literal["plan", "2020"]
 
@@ -45,8 +47,8 @@ class PlansUnit(_Unit):
     """A dataset of demonstrations."""
 
     kind = "plans"
-    problem: str
-    """A shipped planning problem."""
+    problem: str | Problem
+    """The name of a shipped planning problem, or a problem of your own."""
     num: int
     """Number of demonstrations."""
     settings: tuple[tuple[str, int | float], ...] = ()
@@ -54,6 +56,11 @@ class PlansUnit(_Unit):
     source: PlanSource = "plan"
     """`plan`: the planner. `2020`: plans with winding, like those of 2020; see `plans_2020`."""
     seed: int = 0
+
+    @property
+    def problem_name(self) -> str:
+        """The name of the problem."""
+        return self.problem if isinstance(self.problem, str) else self.problem.name
 
     @property
     def needs(self) -> tuple["Unit", ...]:
@@ -96,8 +103,8 @@ class PolicyUnit(_Unit):
     """Policies of consecutive seeds of an arm."""
 
     kind = "policies"
-    task: str
-    """A shipped task."""
+    task: str | Task
+    """The name of a shipped task, or a task of your own."""
     config: TrainConfig
     """Settings of the arm, and its seeds."""
     fits: tuple[FitUnit, ...] = ()
@@ -122,13 +129,24 @@ def _plain(value: Any) -> Any:
     """Convert dataclasses to plain data."""
     if isinstance(value, TrainConfig | FitConfig):
         return plain_settings(value)
+    if isinstance(value, Task | Problem):
+        return value.name
     if is_dataclass(value):
-        problem = {"problem_hash": _problem_hash(value.problem)} if isinstance(value, PlansUnit) else {}
-        return {**{f.name: _plain(getattr(value, f.name)) for f in fields(value)}, **problem}
+        return {**{f.name: _plain(getattr(value, f.name)) for f in fields(value)}, **_content(value)}
     return [_plain(x) for x in value] if isinstance(value, tuple) else value
 
 
+def _content(unit: Any) -> dict[str, str]:
+    """The hashes of a unit's problem and of its own task."""
+    if isinstance(unit, PlansUnit):
+        own = unit.problem
+        return {"problem_hash": _shipped_hash(own) if isinstance(own, str) else own.hash}
+    if isinstance(unit, PolicyUnit) and isinstance(unit.task, Task):
+        return {"task_sha256": unit.task.hash}
+    return {}
+
+
 @lru_cache
-def _problem_hash(name: str) -> str:
-    """The hash of a problem. It is cached, because hundreds of units name the same problem."""
+def _shipped_hash(name: str) -> str:
+    """The hash of a shipped problem. It is cached, because hundreds of units name the same problem."""
     return load_problem(name).hash
