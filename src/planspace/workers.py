@@ -4,7 +4,6 @@ The calls travel as pickles through pipes between processes of one command; noth
 """
 
 import contextlib
-import multiprocessing
 import os
 import pickle
 import signal
@@ -12,9 +11,8 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
@@ -51,33 +49,6 @@ By default it chooses kernels for the CPU at hand, which sum in a different orde
 """
 
 
-@contextmanager
-def worker_environment() -> Iterator[None]:
-    """Give `WORKER_ENVIRONMENT` to the processes that are started inside the block."""
-    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
-    os.environ.update(WORKER_ENVIRONMENT)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def exit_with_parent() -> None:
-    """Make this worker exit when its parent dies, even if the parent is killed."""
-    threading.Thread(target=_wait_for_parent, daemon=True).start()
-
-
-def _wait_for_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(ORPHAN_EXIT_CODE)
-
-
 # --- calls in other processes ---------------------------------------------------------------------------
 
 
@@ -86,6 +57,8 @@ class WorkerDied(Exception):
 
     def __init__(self, exit_code: int):
         super().__init__(f"exit code {exit_code}")
+        self.exit_code = exit_code
+        """Negative if a signal of this number killed the process."""
 
 
 class WorkerPool:
@@ -127,6 +100,15 @@ class WorkerPool:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def terminate(self) -> None:
+        """Send SIGTERM to the processes, once, and return at once."""
+        for worker in self._workers:
+            worker.terminate()
+
+    def close(self) -> None:
+        """Kill the processes."""
         for worker in self._workers:
             worker.kill()
         for _thread in self._threads:
@@ -170,6 +152,10 @@ class _Worker:
         if returned:
             return value
         raise value
+
+    def terminate(self) -> None:
+        """Send SIGTERM to the process."""
+        self._process.terminate()
 
     def kill(self) -> None:
         """End the process and those that it started."""
