@@ -69,6 +69,7 @@ def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
     from planspace.embed.saved_embedding import load_embedding
     from planspace.mjcf.assets import ASSETS
     from planspace.mjcf.read import read_model
+    from planspace.mjcf.source import ModelFile
     from planspace.rl.saved_policy import load_policy
     from planspace.tasks.problem_file import load_problem
 
@@ -80,7 +81,7 @@ def make_probe(target: str, folder: Path) -> tuple[Probe, list[bytes]]:
         return lambda data: load_problem(str(written(folder / "p.yaml", data))) and None, [problem]
     if target == "model":
         seeds = [file.read_bytes() for file in models]
-        return lambda data: read_model(written(folder / "m.xml", data)) and None, seeds
+        return lambda data: read_model(ModelFile(written(folder / "m.xml", data))) and None, seeds
     if target in ("json", "csv"):
         return importer(folder, target), [SEED_JSON if target == "json" else SEED_CSV]
     readers = {

@@ -19,6 +19,7 @@ from planspace.embed.config import PRESETS
 from planspace.errors import PlanspaceError
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import read_keyframe, read_model
+from planspace.mjcf.source import ModelFile
 from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.plan.config import PlanConfig, RegulatorConfig
@@ -247,7 +248,7 @@ def test_a_keyframe_gives_the_activations_of_a_start(tmp_path: Path) -> None:
       </actuator><keyframe><key name="k" qpos="1 2" act="3 4"/></keyframe></mujoco>"""
     two = two.replace("<joint/>", '<joint name="a"/>', 1).replace("<joint/>", '<joint name="b"/>')
     (tmp_path / "two.xml").write_text(two)
-    source = read_model(tmp_path / "two.xml", ("b",))  # a is held, with its two actuators
+    source = read_model(ModelFile(tmp_path / "two.xml", ("b",)))  # a is held, with its two actuators
     assert load_model(source).na == 1
     assert read_keyframe(source, ("b",), "k") == ([2.0], [0.0], [4.0])
 

@@ -23,6 +23,7 @@ from planspace.embed.training_log import read_log
 from planspace.errors import PlanspaceError
 from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.read import read_model
+from planspace.mjcf.source import ModelFile
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
 from planspace.storage.checkpoint import FILE as CHECKPOINT
@@ -105,7 +106,7 @@ def make_problem(folder: Path) -> Loader:
 
 def make_model(folder: Path) -> Loader:
     file = Path(shutil.copy(ASSETS / "reacher.xml", folder))
-    return Loader(file, lambda: read_model(file, ["joint0"]), TEXT, named_by_user=True)
+    return Loader(file, lambda: read_model(ModelFile(file, ["joint0"])), TEXT, named_by_user=True)
 
 
 def make_npz(folder: Path) -> Loader:

@@ -10,7 +10,7 @@ from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf import subprocess_model
 from planspace.mjcf.model_check import parse_model
 from planspace.mjcf.read import read_model
-from planspace.mjcf.source import ModelSource
+from planspace.mjcf.source import ModelFile, ModelSource
 from planspace.mjcf.subprocess_model import check_compiles
 
 from .audit import assert_rejected, nothing_else_happens
@@ -21,14 +21,14 @@ from .hostile_models import BODY, BOMB, MODELS, OUTSIDE
 def test_hostile_models_are_rejected(trick: str, models: Path) -> None:
     inside, message = MODELS[trick]
     (models / "model.xml").write_text(f"<mujoco>{inside}</mujoco>")
-    assert_rejected(models, lambda: read_model(models / "model.xml"), message)
+    assert_rejected(models, lambda: read_model(ModelFile(models / "model.xml")), message)
 
 
 def test_pictures_are_left_out_unread(models: Path) -> None:
     texture = '<asset><texture type="2d" file="/etc/t.png"/></asset>'
     (models / "model.xml").write_text(f"<mujoco>{texture}<worldbody>{BODY}</worldbody></mujoco>")
     with nothing_else_happens(models):
-        assert read_model(models / "model.xml").files == ()
+        assert read_model(ModelFile(models / "model.xml")).files == ()
 
 
 def test_the_models_of_gymnasium_are_within_the_limits() -> None:
@@ -42,7 +42,7 @@ def test_the_models_of_gymnasium_are_within_the_limits() -> None:
 @pytest.mark.parametrize("text", [BOMB, OUTSIDE], ids=["bomb", "outside"])
 def test_entities_are_rejected(text: str, models: Path) -> None:
     (models / "model.xml").write_text(text)
-    assert_rejected(models, lambda: read_model(models / "model.xml"), "entities")
+    assert_rejected(models, lambda: read_model(ModelFile(models / "model.xml")), "entities")
 
 
 # --- compiling in a subprocess -------------------------------------------------------------------------
@@ -52,10 +52,10 @@ TEXT = f"<mujoco>{{}}<worldbody>{BODY}</worldbody></mujoco>"
 
 def test_a_model_is_read_in_a_subprocess(models: Path) -> None:
     (models / "model.xml").write_text(TEXT.format(""))
-    read = subprocess_model.read_model_in_subprocess(models / "model.xml")
-    assert read == read_model(models / "model.xml") == ModelSource(TEXT.format(""))
+    read = subprocess_model.read_model_in_subprocess(ModelFile(models / "model.xml"))
+    assert read == read_model(ModelFile(models / "model.xml")) == ModelSource(TEXT.format(""))
     with pytest.raises(UsageError, match="unknown joint 'x'"):
-        subprocess_model.read_model_in_subprocess(models / "model.xml", ["x"])
+        subprocess_model.read_model_in_subprocess(ModelFile(models / "model.xml", ["x"]))
 
 
 def test_an_error_in_the_subprocess_is_raised_here() -> None:

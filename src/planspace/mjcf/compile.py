@@ -6,13 +6,14 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import mujoco
 
 from planspace.errors import PlanspaceError, unknown
-from planspace.mjcf.hold import hold_joints
+from planspace.mjcf.hold import hold_joints, reference_positions
 from planspace.mjcf.names import name_elements
 from planspace.mjcf.references import referred_files
 from planspace.mjcf.source import ModelSource, as_source
@@ -36,17 +37,27 @@ def load_model(source: ModelSource | str, watched: GeomPairs = ()) -> mujoco.MjM
         PlanspaceError: a file of the model is missing, it requests too much, or MuJoCo rejects it; then the
             message quotes MuJoCo's.
     """
-    return copy.copy(_compiled(as_source(source), watched))
+    try:
+        return copy.copy(compile_source(as_source(source), watched))
+    except MUJOCO_ERRORS as error:
+        raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
+
+
+def compile_source(source: ModelSource, watched: GeomPairs = ()) -> mujoco.MjModel:
+    """Compile a model as `load_model` does. The callers share the result and must not change it.
+
+    Raises:
+        PlanspaceError: a file of the model is missing, or it requests too much.
+        ValueError: MuJoCo rejects it; see `MUJOCO_ERRORS` for its other exceptions.
+    """
+    return _compiled(source, watched)
 
 
 @lru_cache(maxsize=4)
 def _compiled(source: ModelSource, watched: GeomPairs) -> mujoco.MjModel:
-    try:
-        with open_spec(source) as spec:
-            _watch(spec, watched)
-            model = spec.compile()
-    except MUJOCO_ERRORS as error:
-        raise PlanspaceError(f"the model does not compile: {' '.join(str(error).split())}") from error
+    with open_spec(source) as spec:
+        _watch(spec, watched)
+        model = spec.compile()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _limit_muscles(model)
     return model
@@ -79,7 +90,8 @@ def open_spec(source: ModelSource) -> Iterator[mujoco.MjSpec]:
     with read_spec(source) as spec:
         name_elements(spec)
         if source.held:
-            hold_joints(spec, dict(source.held))
+            reference = reference_positions(compile_source(replace(source, held=())))
+            hold_joints(spec, dict(source.held), reference)
         yield spec
 
 

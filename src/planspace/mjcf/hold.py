@@ -18,7 +18,7 @@ Positions = Mapping[str, Sequence[float]]
 """Joint to its position: one number, a quaternion, or a position and a quaternion."""
 
 
-def hold_joints(spec: mujoco.MjSpec, held: Positions) -> None:
+def hold_joints(spec: mujoco.MjSpec, held: Positions, reference: Positions) -> None:
     """Take joints out of a model, with the actuators, tendons, equalities and sensors that only they have.
 
     Keyframes are removed, too, because they would no longer fit.
@@ -26,11 +26,11 @@ def hold_joints(spec: mujoco.MjSpec, held: Positions) -> None:
     Args:
         spec: the model; it is changed.
         held: joint to the position at which it is held.
+        reference: every joint to its position in the reference pose; see `reference_positions`.
 
     Raises:
         PlanspaceError: a joint that is not held is coupled to a held one.
     """
-    reference = reference_positions(spec.compile())
     for key in list(spec.keys):
         spec.delete(key)
     gone = {(mujoco.mjtObj.mjOBJ_JOINT, name) for name in held}
@@ -111,7 +111,7 @@ def _by_joint(model: mujoco.MjModel, numbers: np.ndarray, firsts: np.ndarray) ->
 
 
 def _move_body(
-    spec: mujoco.MjSpec, body: Any, joint: Any, position: np.ndarray, reference: tuple[float, ...]
+    spec: mujoco.MjSpec, body: Any, joint: Any, position: np.ndarray, reference: Sequence[float]
 ) -> None:
     """Put a body where a joint at this position holds it.
 
@@ -135,7 +135,7 @@ def _move_body(
         other.pos = _rotate(np.array(other.pos) - shift, back)
 
 
-def _motion(joint: Any, position: np.ndarray, reference: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _motion(joint: Any, position: np.ndarray, reference: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """The motion of a body at a joint's position, in the body's frame: a shift and a quaternion."""
     none = np.array([1.0, 0.0, 0.0, 0.0])
     if joint.type == FREE:

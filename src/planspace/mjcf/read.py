@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from planspace.errors import PlanspaceError, UsageError, quoted, unknown
-from planspace.mjcf.compile import MUJOCO_ERRORS, compiling, leave_out_pictures, open_spec
+from planspace.mjcf.compile import MUJOCO_ERRORS, compile_source, compiling, leave_out_pictures, open_spec
 from planspace.mjcf.hold import (
     activated,
     hold_joints,
@@ -21,49 +21,33 @@ from planspace.mjcf.hold import (
 from planspace.mjcf.model_check import MAX_ASSET_BYTES
 from planspace.mjcf.references import referred_files
 from planspace.mjcf.same_model import different_fields
-from planspace.mjcf.source import Hold, ModelSource, outside
+from planspace.mjcf.source import ModelFile, ModelSource, outside
 from planspace.storage.files import read_bytes
 
 MAX_MODEL_BYTES = 16 << 20
 
 
-def read_model(
-    path: Path,
-    joints: Sequence[str] | None = None,
-    *,
-    root: Path | None = None,
-    hold: Hold = (),
-    keyframe: str = "",
-) -> ModelSource:
+def read_model(file: ModelFile) -> ModelSource:
     """Read a model with all files that it refers to.
-
-    Args:
-        path: the MJCF file.
-        joints: names of the joints that move; None moves all. The others are held: slides, hinges and balls
-            without a word, a free joint only if `hold` names it.
-        root: the folder that holds every file of the model; by default that of the MJCF file.
-        hold: joints that are held, with or without their positions.
-        keyframe: keyframe of the model that gives the positions of held joints; by default the reference
-            pose.
 
     Raises:
         PlanspaceError: a file cannot be read, lies outside the root folder or does not compile (MuJoCo's
             message gives the line), or a joint cannot be held.
         UsageError: a joint or the keyframe is not in the model.
     """
-    root = (root or path.parent).absolute()
+    path = file.path
+    root = (file.root or path.parent).absolute()
     main = os.path.relpath(path.absolute(), root).replace(os.sep, "/")
     text = read_text(path)
     files = referred_files(main, _reader(root, path, main), str(path))
     source = ModelSource(text, main, tuple(sorted(files.items())))
     try:
-        with open_spec(source) as spec:
-            model = spec.compile()
+        model = compile_source(source)
     except MUJOCO_ERRORS as error:
         raise PlanspaceError(f"{path} does not compile: {' '.join(str(error).split())}") from error
     if files:
         _compare(path, model)
-    positions = _held_positions(path, model, joints, hold, keyframe)
+    positions = _held_positions(file, model)
     if not positions:
         return source
     return _held(path, source, positions)
@@ -83,7 +67,7 @@ def read_keyframe(
         model = spec.compile()
         key = _find_keyframe(model, keyframe)
         if source.held:
-            hold_joints(spec, dict(source.held))
+            hold_joints(spec, dict(source.held), reference_positions(model))
         left = {actuator.name for actuator in spec.actuators}
     positions = joint_positions(model, model.key_qpos[key])
     velocities = joint_velocities(model, model.key_qvel[key])
@@ -138,23 +122,23 @@ def _compare(path: Path, model: mujoco.MjModel) -> None:
     with compiling():
         spec = mujoco.MjSpec.from_file(str(path))
         leave_out_pictures(spec)
-        if different := different_fields(spec.compile(), model):
+        original = spec.compile()
+        original.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # as in `model`
+        if different := different_fields(original, model):
             raise PlanspaceError(
                 f"{path}: a copy of its files makes another model, which differs in {', '.join(different)}. "
                 "Put all files of the model below one folder, with paths relative to it."
             )
 
 
-def _held_positions(
-    path: Path, model: mujoco.MjModel, joints: Sequence[str] | None, hold: Hold, keyframe: str
-) -> dict[str, tuple[float, ...]]:
+def _held_positions(file: ModelFile, model: mujoco.MjModel) -> dict[str, tuple[float, ...]]:
     """The joints that are held and their positions."""
-    pose = reference_positions(model)
+    path, joints, hold, pose = file.path, file.joints, file.hold, reference_positions(model)
     for name in (*(joints or ()), *(() if hold == "all" else hold)):
         if name not in pose:
             raise UsageError(f"{path}: {unknown('joint', name, pose)}")
-    if keyframe:
-        pose = joint_positions(model, model.key_qpos[_find_keyframe(model, keyframe)])
+    if file.keyframe:
+        pose = joint_positions(model, model.key_qpos[_find_keyframe(model, file.keyframe)])
     left_out = [name for name in pose if joints is not None and name not in joints]
     if hold != "all":
         free = [n for n in left_out if model.joint(n).type[0] == mujoco.mjtJoint.mjJNT_FREE and n not in hold]
@@ -183,8 +167,7 @@ def _held(path: Path, source: ModelSource, positions: dict[str, tuple[float, ...
     held = ModelSource(source.text, source.main, source.files, tuple(positions.items()))
     names = ", ".join(positions)
     try:
-        with open_spec(held) as spec:
-            spec.compile()
+        compile_source(held)
     except PlanspaceError as error:
         raise PlanspaceError(f"{path}: {error}") from error
     except MUJOCO_ERRORS as error:

@@ -29,6 +29,23 @@ Held = tuple[tuple[str, tuple[float, ...]], ...]
 """Joints that are held, and their positions."""
 
 
+@dataclass(frozen=True)
+class ModelFile:
+    """A model file to read, and the joints that move and that are held."""
+
+    path: Path
+    """The MJCF file."""
+    joints: Sequence[str] | None = None
+    """Names of the joints that move; None moves all. The others are held: slides, hinges and balls without a
+    word, a free joint only if `hold` names it."""
+    root: Path | None = None
+    """The folder that holds every file of the model; by default that of the MJCF file."""
+    hold: Hold = ()
+    """Joints that are held, with or without their positions."""
+    keyframe: str = ""
+    """Keyframe of the model that gives the positions of held joints; by default the reference pose."""
+
+
 @dataclass(frozen=True, repr=False)
 class ModelSource:
     """The files that a model is compiled from, and the joints that are held in it."""

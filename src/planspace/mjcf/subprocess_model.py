@@ -8,25 +8,18 @@ import base64
 import json
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.mjcf.source import Hold, ModelSource, as_source
+from planspace.mjcf.source import ModelFile, ModelSource, as_source
 
 MEMORY_BYTES = 4 << 30
 CPU_S, WALL_S = 60, 120
 
 
-def read_model_in_subprocess(
-    path: Path,
-    joints: Sequence[str] | None = None,
-    *,
-    root: Path | None = None,
-    hold: Hold = (),
-    keyframe: str = "",
-) -> ModelSource:
+def read_model_in_subprocess(file: ModelFile) -> ModelSource:
     """Call `read_model` in a subprocess.
 
     Raises:
@@ -34,13 +27,13 @@ def read_model_in_subprocess(
         UsageError: a joint is not in the model.
     """
     request = {
-        "path": str(path.absolute()),
-        "joints": None if joints is None else list(joints),
-        "root": None if root is None else str(root.absolute()),
-        "hold": hold if isinstance(hold, str | Mapping) else list(hold),
-        "keyframe": keyframe,
+        "path": str(file.path.absolute()),
+        "joints": None if file.joints is None else list(file.joints),
+        "root": None if file.root is None else str(file.root.absolute()),
+        "hold": file.hold if isinstance(file.hold, str | Mapping) else list(file.hold),
+        "keyframe": file.keyframe,
     }
-    return _decoded(_run_subprocess(request, str(path)))
+    return _decoded(_run_subprocess({"file": request}, str(file.path)))
 
 
 def check_compiles(source: ModelSource | str) -> None:
@@ -95,10 +88,9 @@ def _main() -> None:
     from planspace.mjcf.read import read_model
 
     try:
-        if "path" in request:
-            root = request["root"] and Path(request["root"])
-            how = {"root": root, "hold": request["hold"], "keyframe": request["keyframe"]}
-            source = read_model(Path(request["path"]), request["joints"], **how)
+        if "file" in request:
+            paths = {key: request["file"][key] and Path(request["file"][key]) for key in ("path", "root")}
+            source = read_model(ModelFile(**request["file"] | paths))
         else:
             source = _decoded(request["source"])
             load_model(source)

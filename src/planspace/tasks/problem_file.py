@@ -12,7 +12,7 @@ from planspace.errors import PlanspaceError, UsageError, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import read_keyframe, read_model
-from planspace.mjcf.source import ModelSource
+from planspace.mjcf.source import ModelFile, ModelSource
 from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND
 from planspace.tasks import problem_values as values
@@ -22,7 +22,7 @@ from planspace.tasks.strict_yaml import read_yaml
 from planspace.tasks.task_settings import TaskSettings
 from planspace.tasks.task_values import task_settings
 
-ReadModel = Callable[..., ModelSource]
+ReadModel = Callable[[ModelFile], ModelSource]
 """`read_model`, or its twin in a subprocess."""
 
 TOLERANCE_2020 = 0.1
@@ -89,13 +89,14 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
     known |= {"held", "keyframe"}
     _check_keys(path, settings, known, required)
     joints = values.read(settings, "joints", values.names)
-    model = read(
+    file = ModelFile(
         _beside(path, values.read(settings, "model", values.text)),
         joints,
         root=path.parent,
         hold=values.read(settings, "held", values.held, ()),
         keyframe=values.read(settings, "keyframe", values.text, ""),
     )
+    model = read(file)
     settings = _with_keyframes(settings, model, joints)
     goal, goal_random = values.read(settings, "goal", values.goal)
     return Problem(
@@ -142,7 +143,7 @@ def _from_2020(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
     time limit belong to OMPL's metric, so they become settings of OMPL's planners; ours has its own.
     """
     _check_keys(path, settings, KEYS_2020, {"mujoco_config", "start", "goal"})
-    source = read(_beside(path, values.read(settings, "mujoco_config", values.text)), None)
+    source = read(ModelFile(_beside(path, values.read(settings, "mujoco_config", values.text))))
     model = load_model(source)
     center = np.array(values.read(settings, "start", values.numbers))
     reach = np.abs(values.read(settings, "start_range", values.numbers, (0.0,) * len(center)))

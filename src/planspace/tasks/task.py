@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.errors import UsageError, quoted
-from planspace.mjcf.source import ModelSource
+from planspace.mjcf.source import ModelFile, ModelSource
 from planspace.physics.angles import wrap
 from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType, find_name
 from planspace.tasks.source_hash import function_settings
@@ -148,7 +148,7 @@ class Task:
             return ModelSource(self.model)
         from planspace.mjcf.read import read_model
 
-        return read_model(Path(self.model))
+        return read_model(ModelFile(Path(self.model)))
 
     @cached_property
     def space(self) -> "StateSpace":
