@@ -13,6 +13,7 @@ import yaml
 import planspace as ps
 from planspace.envs.vector import TaskVectorEnv
 from planspace.errors import PlanspaceError, UsageError
+from planspace.storage.files import write_bytes
 from planspace.tasks.catalog import find_task
 from planspace.tasks.check_task import check_task
 from planspace.tasks.problem_file import load_problem, shipped_problems
@@ -202,6 +203,50 @@ def test_a_run_holds_its_task(tmp_path: Path) -> None:
     (run / "task" / "other.yaml").write_text("")
     with pytest.raises(PlanspaceError, match="must hold one problem file, it holds 2"):
         stored_task(run)
+
+
+def test_the_file_of_a_stored_task_may_have_any_name(tmp_path: Path) -> None:
+    task = find_task(write(tmp_path, CRANE, "my crane.yaml"))
+    save_task(task, tmp_path / "run")
+    again = stored_task(tmp_path / "run")
+    assert again is not None and (again.name, again.hash) == ("my-crane", task.hash)
+
+
+WITH_MESH = CRANE_XML.replace(
+    "<worldbody>",
+    """<asset><mesh name="hook" file="hook.obj"/></asset><worldbody>
+  <geom name="hook" type="mesh" mesh="hook" contype="0" conaffinity="0" pos="0 0 3"/>""",
+)
+TETRAHEDRON = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.5\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_the_arms_of_a_run_share_the_meshes_of_its_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, run = write(tmp_path, CRANE), tmp_path / "run"
+    (tmp_path / "crane.xml").write_text(WITH_MESH)
+    (tmp_path / "hook.obj").write_text(TETRAHEDRON + "# padding\n" * 10_000)  # 100 kB
+    task = find_task(path)
+    arms = [run, run / "train" / "raw", run / "train" / "raw-z"]
+    for folder in arms:
+        save_task(task, folder)
+    first, second, third = (folder / "task" / "hook.obj" for folder in arms)
+    assert first.samefile(second) and first.samefile(third)
+    texts = [folder / "task" / "crane.xml" for folder in arms]
+    assert not texts[0].samefile(texts[1])  # someone may edit it
+    write_bytes(second, b"changed")  # as planspace writes files
+    assert third.read_text() == (tmp_path / "hook.obj").read_text()
+    moved = run.rename(tmp_path / "moved")
+    again = stored_task(moved / "train" / "raw-z")
+    assert again is not None and again.hash == task.hash
+
+    def no_links(*_: object, **__: object) -> None:
+        raise OSError("this file system has no hard links")
+
+    monkeypatch.setattr("os.link", no_links)
+    save_task(task, moved / "train" / "copy")
+    copy = moved / "train" / "copy" / "task" / "hook.obj"
+    assert copy.stat().st_nlink == 1 and copy.read_text() == (tmp_path / "hook.obj").read_text()
 
 
 def allowed(states: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from planspace.errors import PlanspaceError
-from planspace.storage.files import make_folder, write_bytes
+from planspace.storage.files import make_folder, write_or_link
 from planspace.storage.json_files import json_hash
 
 MAIN = "model.xml"
@@ -92,8 +92,12 @@ class ModelSource:
         """The SHA-256 of each file."""
         return {name: hashlib.sha256(data).hexdigest() for name, data in self.contents.items()}
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path, same: Sequence[Path] = ()) -> None:
         """Write the files below a folder; a file that is there already stays.
+
+        Args:
+            folder: the folder.
+            same: folders that may hold the same files; see `write_or_link`.
 
         Raises:
             PlanspaceError: a file cannot be written.
@@ -102,7 +106,7 @@ class ModelSource:
             path = folder / name
             if not path.is_file() or path.read_bytes() != data:
                 make_folder(path.parent)
-                write_bytes(path, data)
+                write_or_link(path, data, (other / name for other in same))
 
 
 def as_source(given: "ModelSource | str") -> ModelSource:

@@ -4,13 +4,17 @@ A file is written under a temporary name in the same folder, flushed to disk and
 flushed too. A crash at any moment therefore leaves the old file or the new one.
 """
 
+import contextlib
 import hashlib
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from planspace.storage.checks import MAX_BYTES, check_file, explain_read, explain_write
 
 TEMPORARY_PREFIX = ".writing-"
+MIN_LINKED_BYTES = 1 << 16
+"""Smaller files are never hard links: someone may edit them in place, which would change every link."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -31,6 +35,34 @@ def write_bytes(path: Path, data: bytes) -> None:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
+
+
+def write_or_link(path: Path, data: bytes, same: Iterable[Path]) -> None:
+    """Write a file; store a large one only once if another file has the same content.
+
+    The new file is then a hard link to the other one. This is safe, because files are replaced and never
+    changed in place. On file systems without hard links it is a copy.
+
+    Args:
+        path: the file.
+        data: its content.
+        same: files that may have the same content. They need not exist.
+
+    Raises:
+        PlanspaceError: the file cannot be written.
+    """
+    if len(data) < MIN_LINKED_BYTES or not any(_link(path, data, other) for other in same):
+        write_bytes(path, data)
+
+
+def _link(path: Path, data: bytes, other: Path) -> bool:
+    """Whether a file could be made as a hard link to another one."""
+    with contextlib.suppress(OSError):
+        if other.is_file() and other.stat().st_size == len(data) and other.read_bytes() == data:
+            os.link(other, path, follow_symlinks=False)
+            sync_folder(path.parent)
+            return True
+    return False
 
 
 def read_bytes(path: Path, *, most: int = MAX_BYTES, may_be_link: bool = False) -> bytes:

@@ -20,7 +20,7 @@ from shutil import rmtree
 from typing import Any
 
 from planspace.errors import PlanspaceError, UsageError
-from planspace.storage.files import make_folder, read_bytes, write_bytes
+from planspace.storage.files import make_folder, read_bytes, write_or_link
 from planspace.storage.json_files import json_hash
 from planspace.storage.runs import lock_folder
 from planspace.storage.settings import list_differences
@@ -28,6 +28,7 @@ from planspace.study.execute import VERSIONS, execute, folder_of, keep_result, r
 from planspace.study.pool import REFRESH_S, one_line
 from planspace.study.results import UnitResult
 from planspace.study.unit import Unit
+from planspace.tasks.stored_task import FOLDER
 from planspace.workers import WORKER_ENVIRONMENT, available_cores
 
 Files = dict[str, bytes]
@@ -211,5 +212,6 @@ def write_files(folder: Path, files: Files) -> None:
         whole = Path(temporary) / "folder"
         for name, data in files.items():
             make_folder((whole / name).parent)
-            write_bytes(whole / name, data)
+            neighbours = folder.parent.iterdir() if name.startswith(f"{FOLDER}/") else ()
+            write_or_link(whole / name, data, [other / name for other in neighbours])
         whole.rename(folder)

@@ -23,7 +23,8 @@ def save_task(task: AnyTask, run: Path) -> None:
     """Write the task of a problem into a run, so that its policies can be played without the user's file.
 
     A task with functions of the user's own is not written, because a file holds no code. A Gymnasium
-    environment is described in the settings of its run.
+    environment is described in the settings of its run. The arms of a run or of a study share the large
+    files of a model; see `write_or_link`.
 
     Raises:
         PlanspaceError: a file cannot be written.
@@ -32,8 +33,14 @@ def save_task(task: AnyTask, run: Path) -> None:
     if not isinstance(functions, GoalTask) or functions.problem.predicate is not None:
         return
     problem, folder = functions.problem, make_folder(run / FOLDER)
-    problem.source.write(folder)
-    write_bytes(folder / f"{task.name}.yaml", problem_yaml(problem).encode())
+    problem.source.write(folder, _neighbours(run.absolute()))
+    name = problem.name.replace("/", "-")  # not the task's, because the name is part of the task's hash
+    write_bytes(folder / f"{name}.yaml", problem_yaml(problem).encode())
+
+
+def _neighbours(run: Path) -> list[Path]:
+    """The tasks of the run that an arm RUN/train/ARM belongs to, and of the folders next to it."""
+    return [run.parent.parent / FOLDER, *sorted(run.parent.glob(f"*/{FOLDER}"))]
 
 
 def task_content(task: AnyTask) -> dict[str, Any]:
