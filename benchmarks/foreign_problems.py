@@ -37,7 +37,14 @@ def arm(
     )
 
 
+def numbered(name: str, first: int = 1) -> str:
+    """The seven joints of an arm: the name and a number."""
+    return " ".join(f"{name}{i}" for i in range(first, first + 7))
+
+
 PI = 3.14159
+CART, DOUBLE_PENDULUM = "slider hinge", "slider hinge hinge2"
+CHEETAH = "rootx rootz rooty bthigh bshin bfoot fthigh fshin ffoot"
 PROBLEMS = {
     "dmc-acrobot": Foreign(
         f"{SUITE}/acrobot.xml", "shoulder elbow", (PI, 0.0), (0.0, 0.0), "swing-up, its own task"
@@ -68,7 +75,7 @@ PROBLEMS = {
     ),
     "dmc-cheetah-ahead": Foreign(
         f"{SUITE}/cheetah.xml",
-        "rootx rootz rooty bthigh bshin bfoot fthigh fshin ffoot",
+        CHEETAH,
         (0.0,) * 9,
         (0.5, *(0.0,) * 8),
         "0.5 m ahead",
@@ -93,24 +100,24 @@ PROBLEMS = {
     ),
     "dmc-cartpole-no-names": Foreign(
         "dm_control/mujoco/testing/assets/cartpole_no_names.xml",
-        "slider hinge",
+        CART,
         (0.0, PI),
         (0.0, 0.0),
         "swing-up",
     ),
     "gym-inverted-pendulum": Foreign(
         "gym:inverted_pendulum.xml",
-        "slider hinge",
+        CART,
         (-0.4, 0.0),
         (0.4, 0.0),
         "0.8 m along the rail, balancing",
     ),
     "gym-double-pendulum": Foreign(
-        "gym:inverted_double_pendulum.xml", "slider hinge hinge2", (0.0, PI, 0.0), (0.0, 0.0, 0.0), "swing-up"
+        "gym:inverted_double_pendulum.xml", DOUBLE_PENDULUM, (0.0, PI, 0.0), (0.0, 0.0, 0.0), "swing-up"
     ),
     "gym-double-pendulum-balanced": Foreign(
         "gym:inverted_double_pendulum.xml",
-        "slider hinge hinge2",
+        DOUBLE_PENDULUM,
         (-0.4, 0.0, 0.0),
         (0.4, 0.0, 0.0),
         "0.8 m along the rail, balancing",
@@ -143,7 +150,7 @@ PROBLEMS = {
     ),
     "gym-cheetah-ahead": Foreign(
         "gym:half_cheetah.xml",
-        "rootx rootz rooty bthigh bshin bfoot fthigh fshin ffoot",
+        CHEETAH,
         (0.0,) * 9,
         (0.5, *(0.0,) * 8),
         "0.5 m ahead",
@@ -177,7 +184,7 @@ PROBLEMS = {
     ),
     "gymrob-franka-servos": arm(
         f"{ASSETS}/kitchen_franka/kitchen_assets/kitchen_env_model.xml",
-        " ".join(f"robot:panda0_joint{i}" for i in range(1, 8)),
+        numbered("robot:panda0_joint"),
         (0.15, -1.76, 1.84, -2.47, 0.25, 0.6, 1.57),
         (0.8, 0.5, -0.5, 0.6, 0.3, 0.2, -0.6),
         held="all",
@@ -185,31 +192,31 @@ PROBLEMS = {
     "gymrob-point": Foreign(f"{ASSETS}/point/point.xml", "ball_x ball_y", (0.0, 0.0), (1.0, 1.0), "1.4 m"),
     "robosuite-panda": arm(
         f"{ROBOTS}/panda/robot.xml",
-        " ".join(f"joint{i}" for i in range(1, 8)),
+        numbered("joint"),
         (0.0, 0.2, 0.0, -2.4, 0.0, 2.6, 0.8),
         (1.4, 0.6, 0.4, 0.6, 0.4, -0.4, 0.6),
     ),
     "robosuite-iiwa": arm(
         f"{ROBOTS}/iiwa/robot.xml",
-        " ".join(f"joint_{i}" for i in range(1, 8)),
+        numbered("joint_"),
         (0.0, 0.6, 0.0, -1.5, 0.0, 1.0, 0.0),
         (1.4, 0.4, 0.4, 0.6, 0.4, -0.4, 0.6),
     ),
     "robosuite-sawyer": arm(
         f"{ROBOTS}/sawyer/robot.xml",
-        " ".join(f"right_j{i}" for i in range(7)),
+        numbered("right_j", 0),
         (0.0, -1.0, 0.0, 1.8, 0.0, 0.7, 1.5),
         (1.4, 0.5, 0.4, -0.6, 0.4, -0.4, 0.6),
     ),
     "robosuite-jaco": arm(
         f"{ROBOTS}/jaco/robot.xml",
-        " ".join(f"j2s7s300_joint_{i}" for i in range(1, 8)),
+        numbered("j2s7s300_joint_"),
         (3.1, 3.6, 0.0, 1.3, 0.0, 2.6, -1.5),
         (1.4, -0.5, 0.4, 0.6, 0.4, 0.4, 0.6),
     ),
     "robosuite-kinova3": arm(
         f"{ROBOTS}/kinova3/robot.xml",
-        " ".join(f"Actuator{i}" for i in range(1, 8)),
+        numbered("Actuator"),
         (0.0, 0.6, 0.0, 1.4, 0.0, 0.9, 0.0),
         (1.4, 0.4, 0.4, -0.6, 0.4, -0.4, 0.6),
     ),
@@ -221,7 +228,7 @@ PROBLEMS = {
     ),
     "robosuite-xarm7": arm(
         f"{ROBOTS}/xarm7/robot.xml",
-        " ".join(f"joint{i}" for i in range(1, 8)),
+        numbered("joint"),
         (0.0, -0.2, 0.0, 0.8, 0.0, 1.0, 0.0),
         (1.4, 0.5, 0.4, 0.6, 0.4, -0.4, 0.6),
     ),

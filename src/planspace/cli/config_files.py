@@ -48,30 +48,31 @@ def given_option(arguments: Sequence[str], name: str) -> str | None:
     return found
 
 
-def given_config(arguments: Sequence[str]) -> tuple[str | None, dict[str, Any]]:
-    """The file that a command line gives to `--config`, and its settings; None and nothing without one."""
-    path = given_option(arguments, "--config")
-    return path, {} if path is None else read_config(path)
+def given_config(arguments: Sequence[str]) -> tuple[str, dict[str, Any]]:
+    """The file that a command line gives to `--config`, and its settings; both are empty without one."""
+    path = given_option(arguments, "--config") or ""
+    return path, read_config(path) if path else {}
 
 
-def given_name(arguments: Sequence[str], file: Mapping[str, Any], option: str) -> str | None:
+def given_name(arguments: Sequence[str], file: Mapping[str, Any], option: str, where: str) -> str | None:
     """The name that an option has on the command line or, without it, in a file of settings; or None.
 
     Args:
         arguments: the command line after its verb.
         file: the content of the file.
         option: for example `preset`.
+        where: the file, for messages.
 
     Raises:
         UsageError: the file has something else than a name there.
     """
     name = given_option(arguments, f"--{option}") or file.get(option)
     if not isinstance(name, str | None):
-        raise UsageError(f"--config: {option} must be a name, got {quoted(name)}.")
+        raise UsageError(f"{where}: {option} must be a name, got {quoted(name)}.")
     return name
 
 
-def group_in_file(file: Mapping[str, Any], key: str, where: str = "--config") -> Mapping[str, Any]:
+def group_in_file(file: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
     """The group of settings under a key of a file; empty if the file does not have the key.
 
     Args:
@@ -108,23 +109,24 @@ def load_or_name(given: str) -> Any:
     return load_object(given) if is_object_path(given) else given
 
 
-def named_in_file(settings: Mapping[str, Any], seam: str) -> str | None:
+def named_in_file(settings: Mapping[str, Any], seam: str, where: str) -> str | None:
     """The name of the shipped object that a file's settings belong to, or None.
 
     Args:
         settings: the content of the file.
         seam: the field that holds the object, such as `planner`.
+        where: the file, for messages.
 
     Raises:
         UsageError: the object is a user's own, which only the command line may name, or has no valid name.
     """
-    group = group_in_file(settings, seam)
+    group = group_in_file(settings, seam, where)
     name = group.get("name")
     if not isinstance(name, str | None):
-        raise UsageError(f"--config: the name of the {seam} must be text, got {quoted(name)}.")
+        raise UsageError(f"{where}: the name of the {seam} must be text, got {quoted(name)}.")
     if "source_sha256" in group or is_object_path(str(name)):
         raise UsageError(
-            f"the file was made with the {seam} {quoted(name)}, which is your own code: name it on the "
+            f"{where} was made with the {seam} {quoted(name)}, which is your own code: name it on the "
             "command line as module.py:NAME."
         )
     return name

@@ -69,12 +69,12 @@ class Control:
     def default(cls, arguments: Sequence[str]) -> "Control":
         """The defaults that --method and --config ask for."""
         path, file = given_config(arguments)
-        method = given_option(arguments, "--method") or named_in_file(file, "method") or "mppi"
+        method = given_option(arguments, "--method") or named_in_file(file, "method", path) or "mppi"
         named = load_or_name(method)
         if isinstance(named, str) and named not in METHODS:
             raise unknown("method", named, METHODS)
         config = ControlConfig(METHODS[named] if isinstance(named, str) else named)
-        if path is not None:
+        if path:
             config = with_settings(config, file, path, ignored=RECORDED)
         return cls(method=method, config=config)
 

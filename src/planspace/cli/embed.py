@@ -57,15 +57,15 @@ class Embed:
         """The defaults that --preset, --objective and --config ask for."""
         path, file = given_config(arguments)
         if "fit" in file:  # the config.json of an embedding
-            file = update_saved(group_in_file(file, "fit"))
-        preset = given_name(arguments, file, "preset") or "modern"
+            file = update_saved(group_in_file(file, "fit", path))
+        preset = given_name(arguments, file, "preset", path) or "modern"
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
         objective = (
-            given_option(arguments, "--objective") or named_in_file(file, "objective") or "variational"
+            given_option(arguments, "--objective") or named_in_file(file, "objective", path) or "variational"
         )
         config = PRESETS[preset].with_objective(load_or_name(objective))
-        if path is not None:
+        if path:
             config = with_settings(config, file, path)
         return cls(objective=objective, config=config)
 

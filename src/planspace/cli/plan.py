@@ -53,7 +53,8 @@ class Plan:
     """sst; or with the extra `ompl`: ompl-sst, ompl-rrt, ompl-est, ompl-kpiece1, ompl-pdst, and for kinematic
     problems ompl-rrtconnect, ompl-rrtstar, ompl-prm, ompl-bitstar; or module.py:NAME for your own."""
     cost: Annotated[
-        Literal["duration", "effort"] | None, arg(help_behavior_hint="(default: the problem's, duration)")
+        Literal["duration", "effort"] | None,
+        arg(metavar="{duration,effort}", help_behavior_hint="(default: the problem's, duration)"),
     ] = None
     """What plans are compared and shortened by."""
     no_polish: bool = False
@@ -72,16 +73,16 @@ class Plan:
         from planspace.tasks.problem_file import load_problem
 
         path, file = given_config(arguments)
-        if "config" in (recorded := group_in_file(file, "settings")):  # the manifest of a dataset
-            file = group_in_file(recorded, "config")
-        planner = given_option(arguments, "--planner") or named_in_file(file, "planner")
+        if "config" in (recorded := group_in_file(file, "settings", path)):  # the manifest of a dataset
+            file = group_in_file(recorded, "config", path)
+        planner = given_option(arguments, "--planner") or named_in_file(file, "planner", path)
         chosen = None if planner is None else find_planner(load_or_name(planner))
         config = PlanConfig() if chosen is None else PlanConfig(chosen)
         if problem := _named_problem(arguments):
             given = dict(map(_setting, _given_settings(arguments)))
             loaded = load_problem(problem, untrusted="--untrusted" in arguments)
             config = PlanConfig.for_problem(loaded, planner=chosen, **given)
-        if path is not None:
+        if path:
             config = with_settings(config, file, path)
         return cls(config=config)
 

@@ -66,14 +66,14 @@ class Train:
     def default(cls, arguments: Sequence[str]) -> "Train":
         """The defaults that --algo, --preset and --config ask for."""
         path, file = given_config(arguments)
-        algo = given_option(arguments, "--algo") or named_in_file(file, "algorithm") or "trpo"
-        preset = given_name(arguments, file, "preset") or "paper"
+        algo = given_option(arguments, "--algo") or named_in_file(file, "algorithm", path) or "trpo"
+        preset = given_name(arguments, file, "preset", path) or "paper"
         named = load_or_name(algo)
         algorithm = find_algorithm(named, preset) if isinstance(named, str) else named
         config = TrainConfig(check_fits(algorithm, Algorithm, HOW_TO))
         if "learner" in file:  # written by version 0.1.0
             _, config = read_settings(file)
-        elif path is not None:
+        elif path:
             config = with_settings(config, file, path, ignored=RECORDED)
         return cls(algo=algo, preset=preset, config=config)
 

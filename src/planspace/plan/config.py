@@ -86,7 +86,10 @@ class PlanConfig:
 
     planner: Planner = field(default_factory=SST)
     """Searches for a path from a start to a goal."""
-    restarts: int | None = None
+    restarts: Annotated[
+        int | None,
+        arg(metavar="INT", help_behavior_hint=lambda given: f"(default: {given})" if given != "None" else ""),
+    ] = None
     """Independent searches per plan. The best plan is kept. By default 2 for sst and 1 for others."""
     polish: PolishConfig = field(default_factory=PolishConfig)
     """Shortens a plan and lands it on its goal."""
