@@ -50,6 +50,7 @@ def test_the_main_cause_is_named(settings: dict[str, object], cause: str) -> Non
     reason = fail(**settings).reason  # pyright: ignore
     assert reason.startswith("no path found within the budget: the tree has ")
     assert cause in reason
+    assert ("limit_slack accepts soft joint limits" in reason) == cause.startswith("leave the range")
 
 
 def test_a_small_tree_suggests_longer_edges() -> None:

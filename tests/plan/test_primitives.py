@@ -93,6 +93,14 @@ def test_greedy_selection_prefers_nodes_near_the_goal() -> None:
     assert np.median(chosen) < np.quantile(distance, 0.15)
 
 
+def test_soft_joint_limits_may_be_exceeded_by_the_slack() -> None:
+    """Only limits of the model are widened: those of joint `b`, not the narrower bounds given for `a`."""
+    problem, _ = two_links()
+    bounds = (("a", (-1.0,), (1.0,)),)
+    _, space = replace(problem, position_bounds=bounds, limit_slack=0.25).compile()
+    np.testing.assert_array_equal([space.low, space.high], [[-1.0, -2.25], [1.0, 2.25]])
+
+
 def test_body_features_are_positions_in_the_world() -> None:
     """Both links along x: the second body is at 0.5 m; with the first turned by 90 degrees, at (0, 0.5)."""
     problem, simulator = two_links()
@@ -106,4 +114,4 @@ def test_body_features_are_positions_in_the_world() -> None:
 @pytest.mark.parametrize(("name", "value"), [("hold_last", 1.5), ("servo", -0.1), ("greedy", 2.0)])
 def test_fractions_out_of_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(UsageError, match=f"`{name}` must be between 0 and 1, got {value}"):
-        SST(**{name: value})
+        replace(SST(), **{name: value})

@@ -65,3 +65,16 @@ def test_a_goal_that_cannot_be_stabilised_has_zero_gain() -> None:
     assert not regulator.gain.any()
     near, far = np.array([[0.0, 0.1, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0, 0.0]])
     assert regulator.cost_to_go(near) < regulator.cost_to_go(far)
+
+
+def test_an_ill_conditioned_riccati_equation_has_no_gain(
+    simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SciPy raises a plain ValueError for it, as on a hopper whose foot touches the floor."""
+
+    def fail(*_: object) -> None:
+        raise ValueError("the problem is very ill-conditioned")
+
+    monkeypatch.setattr("scipy.linalg.solve_discrete_are", fail)
+    goal = Goal(simulator.space, np.zeros(4), np.zeros(4), np.ones(4), 0.1)
+    assert not Regulator(simulator, goal, WEIGHTS, RegulatorConfig()).gain.any()

@@ -48,13 +48,14 @@ def test_a_random_goal_is_drawn_from_its_box(rng: np.random.Generator) -> None:
     assert (drawn[:, 2:] == 0).all()
 
 
-def test_only_problems_with_body_features_have_another_hash(tmp_path: Path) -> None:
+def test_only_problems_with_new_keys_have_another_hash(tmp_path: Path) -> None:
     """A dataset records the hash of its problem, so problems of earlier versions keep theirs."""
     problem = load_problem("cartpole")
     assert problem.hash == "e7819ef0a08b9a8c1bce7787f9f6f6c82372cf13260f6ce62c7dcd4b5d5abdc2"
-    named = load_problem(write(tmp_path, f"{GOOD}body_features: {{pole: 2}}\n"))
-    assert named.body_features == (("pole", 2.0),)
-    assert named.hash != replace(named, body_features=()).hash
+    named = load_problem(write(tmp_path, f"{GOOD}body_features: {{pole: 2}}\nlimit_slack: 0.1\n"))
+    assert (named.body_features, named.limit_slack) == ((("pole", 2.0),), 0.1)
+    hashes = {named.hash, replace(named, body_features=()).hash, replace(named, limit_slack=0.0).hash}
+    assert len(hashes) == 3
 
 
 def test_a_problem_made_in_python_is_checked_and_has_a_short_repr() -> None:
@@ -118,6 +119,7 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
             "goal_weights: weights must not be neg",
         ),
         ("tolerance: 0.1", "tolerance: 0.1\nbody_features: [pole]", "expected bodies with their weights"),
+        ("tolerance: 0.1", "tolerance: 0.1\nlimit_slack: -1", "limit_slack: must be positive, got -1"),
         ("tolerance: 0.1", "tolerance: 0.1\nbody_features: {pole: 0}", "body_features: must be positive"),
         (
             "tolerance: 0.1",

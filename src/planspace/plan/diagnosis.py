@@ -7,6 +7,9 @@ import numpy as np
 from planspace.physics.simulator import Simulator
 from planspace.plan.tree import Tree
 
+SOFT_LIMITS = 0.1
+"""If at least this fraction of the edges leaves the range of one joint, `limit_slack` may help."""
+LEAVES_RANGE = "leave the range of"
 SMALL_TREE = 1_000
 """With fewer nodes, the tree hardly grew."""
 
@@ -29,6 +32,8 @@ def explain_failure(
     if causes:
         cause, count = causes.most_common(1)[0]
         text += f"; {count / len(parents):.0%} {cause}"
+        if cause.startswith(LEAVES_RANGE) and count >= SOFT_LIMITS * len(parents):
+            text += " (limit_slack accepts soft joint limits)"
     if len(tree.costs) < SMALL_TREE:
         return f"{text}; longer edges (max_edge_s) or a lower sample_velocity may help"
     return f"{text}; more rounds (max_rounds) or another tolerance may help"
@@ -63,9 +68,9 @@ def _cause(simulator: Simulator, state: np.ndarray, diverged: bool) -> str:
     positions, velocities = state[: space.num_positions], state[space.velocities]
     outside = np.flatnonzero((positions < space.low) | (positions > space.high))
     if len(outside):
-        return f"leave the range of {space.names[outside[0]]}"
+        return f"{LEAVES_RANGE} {space.names[outside[0]]}"
     if not space.kinematic and (fast := np.flatnonzero(np.abs(velocities) > space.velocity_bound)).size:
         return f"exceed the velocity bound of {space.names[space.num_positions + fast[0]]}"
     if space.in_bounds(state):
         return "touch a forbidden contact or fail the predicate"
-    return "leave the range of a ball joint"
+    return f"{LEAVES_RANGE} a ball joint"

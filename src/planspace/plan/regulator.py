@@ -53,7 +53,7 @@ class Regulator:
                 value = scipy.linalg.solve_discrete_are(discount * a[0], b[0], np.diag(cost), effort)
                 pull = b[0].T @ value
                 gain = np.linalg.solve(effort + pull @ b[0], pull @ a[0])
-            except np.linalg.LinAlgError:
+            except ValueError:  # SciPy's, and with it NumPy's LinAlgError
                 continue
             self.value, self.gain = value, gain
             break

@@ -138,7 +138,8 @@ class Shortcut:
     def _with_noise(self, controls: np.ndarray, num: int) -> np.ndarray:
         length, width = controls.shape
         knots = -(-length // self._knots) + 1
-        size = np.exp(self._rng.uniform(*np.log(NOISE), num))[:, None, None]
+        low, high = np.log(NOISE)
+        size = np.exp(self._rng.uniform(low, high, num))[:, None, None]
         noise = self._rng.normal(0.0, 1.0, (num, knots, width)) * size * 0.5 * (self._high - self._low)
         at, part = np.divmod(np.arange(length), self._knots)
         part = (part / self._knots)[None, :, None]

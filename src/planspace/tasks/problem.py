@@ -1,7 +1,7 @@
 """Planning problems: a model, where plans start and end, which states are allowed, and what a plan costs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import mujoco
@@ -90,6 +90,8 @@ class Problem:
     """States with faster velocities are out of bounds [m/s or rad/s]: one bound for all, or one for each."""
     position_bounds: tuple[tuple[str, tuple[float, ...], tuple[float, ...]], ...] = ()
     """(joint, low, high) for joints that the model does not limit [m]."""
+    limit_slack: float = 0.0
+    """States may exceed the joint limits of the model by this much [m or rad]: MuJoCo's limits are soft."""
     control_bounds: Box | None = None
     """Bounds of the controls, within the model's own."""
     forbidden_contacts: Literal["none", "all"] | GeomPairs = "none"
@@ -142,7 +144,13 @@ class Problem:
             position_bounds={name: (low, high) for name, low, high in self.position_bounds},
             kinematic=self.kinematic,
         )
-        return model, space
+        return model, self._widened(model, space) if self.limit_slack else space
+
+    def _widened(self, model: mujoco.MjModel, space: StateSpace) -> StateSpace:
+        """The space with `limit_slack` added to the bounds that are joint limits of the model."""
+        own, slack = StateSpace.from_model(model, self.joints), self.limit_slack
+        low = np.where(space.low == own.low, space.low - slack, space.low)
+        return replace(space, low=low, high=np.where(space.high == own.high, space.high + slack, space.high))
 
     def _narrow_controls(self, model: mujoco.MjModel, bounds: Box) -> None:
         low, high = np.array(bounds.low), np.array(bounds.high)
@@ -242,8 +250,9 @@ class Problem:
         """SHA-256 of everything that plans depend on."""
         left_out = ("model", "task")
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in left_out}
-        if not self.body_features:
-            del own["body_features"]  # problems without it keep the hash that earlier versions recorded
+        for name in ("body_features", "limit_slack"):
+            if not own[name]:
+                del own[name]  # problems without it keep the hash that earlier versions recorded
         return json_hash(own | model_key(self.source))
 
 

@@ -113,6 +113,7 @@ def _from_keys(path: Path, settings: dict[str, Any], read: ReadModel) -> Problem
         sample_velocity=values.read(settings, "sample_velocity", values.speeds, ()),
         velocity_bound=values.read(settings, "velocity_bound", values.speeds, (DEFAULT_VELOCITY_BOUND,)),
         position_bounds=values.read(settings, "position_bounds", values.position_bounds, ()),
+        limit_slack=values.read(settings, "limit_slack", values.positive, 0.0),
         control_bounds=values.read(settings, "control_bounds", values.box, None),
         forbidden_contacts=values.read(settings, "forbidden_contacts", values.contacts, "none"),
         hold=values.read(settings, "hold", values.flag, True),

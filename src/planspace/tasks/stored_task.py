@@ -84,6 +84,7 @@ def problem_yaml(problem: Problem) -> str:
         "position_bounds": {
             name: {"low": list(low), "high": list(high)} for name, low, high in problem.position_bounds
         },
+        "limit_slack": problem.limit_slack or None,
         "control_bounds": None if problem.control_bounds is None else _box(problem.control_bounds),
         "forbidden_contacts": problem.forbidden_contacts
         if isinstance(problem.forbidden_contacts, str)
