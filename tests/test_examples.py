@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from planspace import plan_demos
+from planspace.demos.describe import replay_errors
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 EMBEDDING, OUT = "EMBEDDING", "OUT"
 
@@ -62,6 +65,14 @@ def test_example_runs(
     )
     assert done.returncode == 0, done.stderr
     assert re.search(says, done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", sorted(path.stem for path in (EXAMPLES / "robots").glob("*.yaml")))
+def test_plans_for_every_robot(robot: str, tmp_path: Path) -> None:
+    demos = plan_demos(str(EXAMPLES / "robots" / f"{robot}.yaml"), 1, out=tmp_path / "demos")
+    assert demos.success.all()
+    assert replay_errors(demos).max() < 1e-9
 
 
 def test_every_example_is_tested() -> None:
