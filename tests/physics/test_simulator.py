@@ -213,7 +213,7 @@ def test_unknown_geoms_and_actuators_with_a_hidden_state_are_rejected() -> None:
     with pytest.raises(UsageError, match="unknown geom or body 'bal'. Did you mean 'ball'"):
         load_model(BALL_AND_WALLS, (("bal", "left"),))
     model = load_model(BALL_AND_WALLS.replace("<motor", '<general dyntype="user" actdim="1"'))
-    with pytest.raises(UsageError, match="the actuator 0 has an activation of another kind"):
+    with pytest.raises(UsageError, match="the actuator 0 has an activation that planspace does not support"):
         Simulator(model, StateSpace.from_model(model, ["x"]), 1)
 
 

@@ -17,7 +17,7 @@ LATE = '<motor name="late" joint="j" delay="0.02" nsample="20"/>'
         (
             BODY,
             USER,
-            "the actuator 1 has an activation of another kind .* integrator, filter, filterexact, m",
+            "the actuator 1 has an activation that .* use one of integrator, filter, filterexact, muscle",
         ),
         (BODY, LATE, "the actuator 'late' has a delay"),
     ],

@@ -74,7 +74,8 @@ def test_a_plan_with_activations_replays_in_plain_mujoco(kind: str, tmp_path: Pa
 @pytest.mark.parametrize("kind", list(ACTUATORS))
 def test_plans_with_activations_are_stored_and_embedded(kind: str, tmp_path: Path) -> None:
     path = write_problem(tmp_path, kind)
-    plan_demos(str(path), 6, out=tmp_path / "demos", workers=0, verbose=False)
+    config = PlanConfig.for_problem(load_problem(path), restarts=1, polish_max_iterations=10)
+    plan_demos(str(path), 6, config=config, out=tmp_path / "demos", workers=0, verbose=False)
     demos = load_demos(tmp_path / "demos")
     check_plans(demos, tmp_path)
     assert validate(tmp_path / "demos", replay_controls=True).get("replay_error", 1.0) <= 1e-12

@@ -23,9 +23,8 @@ def check_supported(model: mujoco.MjModel) -> None:
     unknown = np.flatnonzero((model.actuator_actnum > 0) & ~known)
     if len(unknown):
         raise UsageError(
-            f"{_actuator(model, int(unknown[0]))} has an activation of another kind (a plugin, or dyntype "
-            f'"user", "pid" or "dcmotor"), which planspace cannot simulate; the kinds that it can are '
-            f"{', '.join(DYNAMICS.values())}."
+            f"{_actuator(model, int(unknown[0]))} has an activation that planspace does not support (a "
+            f'plugin, or dyntype "user", "pid" or "dcmotor"); use one of {", ".join(DYNAMICS.values())}.'
         )
     delayed = np.flatnonzero(model.actuator_delay) if model.nhistory else []
     if len(delayed):
