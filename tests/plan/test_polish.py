@@ -12,7 +12,7 @@ from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
 from planspace.plan.sst import SST
 from planspace.plan.sst_search import SSTSearch
-from planspace.tasks.problem import Goal, Problem
+from planspace.tasks.problem import Box, Goal, Problem
 from planspace.tasks.problem_file import load_problem
 
 
@@ -51,6 +51,29 @@ def test_a_double_integrator_reaches_its_shortest_time() -> None:
     assert controls is not None
     assert goal.reached(rolled(simulator, start, controls)[-1])
     assert 18 <= len(controls) <= 21 < len(wandering)
+
+
+def test_velocities_stay_within_their_bounds_if_the_polish_sees_them() -> None:
+    """A joint that may turn at 8 rad/s takes d / v + v / a = 0.25 + 0.04 s over 2 rad: 29 steps.
+
+    The tolerance of 0.1 and the velocity left in it save one or two, the margin costs one. Without the margin
+    changes that exceed the bound are only rejected.
+    """
+    problem = replace(load_problem("reacher"), velocity_bound=(8.0,))
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    start = np.array([2.0, 1.57, 0.0, 0.0])
+    wandering = tree_plan(problem, simulator, start, goal)
+    lengths = []
+    for margin in (0.01, 0.0):
+        config = PolishConfig(velocity_margin=margin)
+        polish = Polish(simulator, goal, problem.weights(simulator.space), config)
+        controls = polish.run(start, wandering)
+        assert controls is not None
+        states = rolled(simulator, start, controls)
+        assert goal.reached(states[-1]) and simulator.space.in_bounds(states).all()
+        lengths.append(len(controls))
+    assert 26 <= lengths[0] <= 30 < lengths[1]
 
 
 @pytest.mark.slow
@@ -111,6 +134,61 @@ def test_polish_fails_if_the_goal_is_out_of_reach() -> None:
     polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig())
     assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((5, 2))) is None  # 2 rad in 0.05 s
     assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((0, 2))) is None
+
+
+def test_a_path_that_is_too_short_is_continued_if_repairs_are_allowed() -> None:
+    """The shortest plan takes 20 steps; see above."""
+    problem, start = load_problem("reacher"), np.array([2.0, 1.57, 0.0, 0.0])
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig(repairs=40))
+    controls = polish.run(start, np.zeros((5, 2)))
+    assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
+    assert 18 <= len(controls) <= 21
+
+
+POINT_BESIDE_A_BOX = """<mujoco>
+  <option timestep="0.02" gravity="0 0 0"><flag autoreset="disable"/></option>
+  <worldbody>
+    <geom name="box" type="box" size="0.3 0.3 0.3"/>
+    <body name="point">
+      <joint name="x" type="slide" axis="1 0 0" range="-2 2"/>
+      <joint name="y" type="slide" axis="0 1 0" range="-2 2"/>
+      <geom name="point" type="sphere" size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="x" joint="x" ctrllimited="true" ctrlrange="-5 5"/>
+    <motor name="y" joint="y" ctrllimited="true" ctrlrange="-5 5"/>
+  </actuator>
+</mujoco>"""
+
+
+def test_a_path_that_stops_before_a_box_is_repaired_around_it() -> None:
+    """Over 2 m with at most 5 m/s^2 it takes at least 2 sqrt(2 / 5) = 1.26 s, 63 steps, without the box; the
+    tolerance and the velocity left in it save some."""
+    start, end = (-1.0, 0.1, 0.0, 0.0), (1.0, 0.1, 0.0, 0.0)
+    problem = Problem(
+        "point",
+        POINT_BESIDE_A_BOX,
+        ("x", "y"),
+        Box(start, start),
+        Box(end, end),
+        tolerance=0.1,
+        velocity_bound=(3.0,),
+        forbidden_contacts="all",
+    )
+    simulator = make(problem)
+    goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
+    clearance, found = Clearance(problem, simulator.space, threads=1), []
+    for repairs in (0, 40):
+        weights, config = problem.weights(simulator.space), PolishConfig(repairs=repairs)
+        polish = Polish(simulator, goal, weights, config, clearance=clearance)
+        found.append(polish.run(np.array(start), np.zeros((5, 2))))
+    assert found[0] is None and found[1] is not None
+    states = rolled(simulator, np.array(start), found[1])
+    assert goal.reached(states[-1]) and simulator.valid_states(states).all()
+    assert 58 <= len(found[1]) <= 68
 
 
 @pytest.mark.parametrize("name", ["arm", "quadrotor"])

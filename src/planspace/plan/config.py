@@ -36,6 +36,12 @@ class PolishConfig:
     tracking_cost: Annotated[float, arg(name="polish-tracking-cost")] = 0.01
     """Cost of the largest control in the feedback, relative to the weighted states. Lower values track more
     stiffly."""
+    repairs: Annotated[int, arg(name="polish-repairs")] = 0
+    """If positive, a path that cannot be landed is continued to the goal by a line no control follows, and
+    at most this many linear programs make it a plan."""
+    velocity_margin: Annotated[float, arg(name="polish-velocity-margin")] = 0.0
+    """If positive, changes keep velocities below their bounds by this fraction of them. Otherwise a change
+    that exceeds a bound is only rejected; set it, for example to 0.01, if velocities reach their bounds."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -49,6 +55,9 @@ class PolishConfig:
         check_setting("polish_step_s", self.step_s, self.step_s > 0, "above 0")
         check_setting("polish_landing", self.landing, 0 < self.landing <= 1, "above 0 and at most 1")
         check_setting("polish_tracking_cost", self.tracking_cost, self.tracking_cost > 0, "above 0")
+        check_setting("polish_repairs", self.repairs, self.repairs >= 0, "at least 0")
+        margin = self.velocity_margin
+        check_setting("polish_velocity_margin", margin, 0 <= margin < 1, "at least 0 and below 1")
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def along(
     nudges = np.concatenate([np.eye(n + m), -np.eye(n + m)]) * NUDGE
     starts = _within_limits(space, states, space.integrate(states[:, None], nudges[None, :, :n]))
     held = np.clip(controls[:, None] + nudges[None, :, n:], simulator.control_low, simulator.control_high)
-    ends = _step_all(simulator, starts.reshape(-1, space.size), held.reshape(-1, m), num_steps)
+    ends = step_all(simulator, starts.reshape(-1, space.size), held.reshape(-1, m), num_steps)
     ends = ends.reshape(count, 2, n + m, space.size)
     change = space.difference(ends[:, 0], ends[:, 1])
     width = np.full((count, n), 2 * NUDGE)
@@ -114,7 +114,7 @@ def equilibrium_control(
     control = forceless_control(simulator, state)
     for _ in range(EQUILIBRIUM_ITERATIONS):
         _, b = along(simulator, state[None], control[None])
-        moved = simulator.space.difference(_step_all(simulator, state[None], control[None], 1)[0], state)
+        moved = simulator.space.difference(step_all(simulator, state[None], control[None], 1)[0], state)
         change = np.linalg.lstsq(b[0], -moved, rcond=1e-9)[0]
         control = np.clip(control + change, low, high)
     return control
@@ -184,7 +184,7 @@ def _affine(terms: np.ndarray, length: np.ndarray, speed: np.ndarray) -> np.ndar
     return terms[:, 0] + terms[:, 1] * length + terms[:, 2] * speed
 
 
-def _step_all(simulator: Simulator, starts: np.ndarray, controls: np.ndarray, num_steps: int) -> np.ndarray:
+def step_all(simulator: Simulator, starts: np.ndarray, controls: np.ndarray, num_steps: int) -> np.ndarray:
     """Apply one control from each start, in batches of the simulator's size."""
     ends = np.empty_like(starts)
     for first in range(0, len(starts), simulator.num):

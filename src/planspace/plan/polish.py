@@ -20,6 +20,7 @@ from planspace.plan.clearance import Clearance
 from planspace.plan.config import PolishConfig
 from planspace.plan.durations import num_steps
 from planspace.plan.polish_program import Change, Limits, LinearModel, solve_program
+from planspace.plan.polish_repair import MAX_KNOTS, STRETCHES, Repair, continued_to_goal, without_contacts
 from planspace.plan.polish_rollout import Candidate, Rollout
 from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem import Goal
@@ -84,7 +85,8 @@ class Polish:
         """
         self._simulator, self._goal, self._config, self._effort = simulator, goal, config, effort
         low, high = simulator.control_low, simulator.control_high
-        self._limits, self._clearance = Limits(simulator.space, goal, low, high), clearance
+        self._limits = Limits(simulator.space, goal, low, high, config.velocity_margin)
+        self._clearance = clearance
         self._state_cost = np.asarray(weights, dtype=float) ** 2
         self._control_cost = config.tracking_cost / (0.5 * (high - low)) ** 2
 
@@ -102,6 +104,13 @@ class Polish:
         """
         if len(controls) == 0:
             return None
+        found = self._run(start, controls)
+        if found is None and self._config.repairs:
+            mended = self._mended(start, controls)
+            found = None if mended is None else self._run(start, mended)
+        return found
+
+    def _run(self, start: np.ndarray, controls: np.ndarray) -> np.ndarray | None:
         least = num_steps(self._config.step_s, self._simulator.model)
         stride = max(least, -(-len(controls) // self._config.max_blocks))
         rollout = Rollout(self._simulator, self._clearance, self._state_cost, self._control_cost, stride)
@@ -111,6 +120,30 @@ class Polish:
             return None
         improve = self._lighten if self._effort else self._shorten
         return np.repeat(improve(rollout, best, trust).controls, stride, axis=0)
+
+    def _mended(self, start: np.ndarray, controls: np.ndarray) -> np.ndarray | None:
+        """The controls of a plan that does not arrive, continued to the goal; None if they cannot be."""
+        simulator = without_contacts(self._simulator) if self._clearance else self._simulator
+        for stretch in STRETCHES:
+            rollout, guess = self._guess(simulator, start, controls, stretch)
+            if guess is None:
+                return None
+            mended = Repair(rollout, self._limits, self._config.repairs).run(guess)
+            if mended is not None:
+                return np.repeat(mended.controls, rollout.stride, axis=0)
+        return None
+
+    def _guess(
+        self, simulator: Simulator, start: np.ndarray, controls: np.ndarray, stretch: float
+    ) -> tuple[Rollout, Trajectory | None]:
+        """A plan and a way from it to the goal, in steps so long that there are few."""
+        stride = num_steps(self._config.step_s, simulator.model)
+        while True:
+            rollout = Rollout(simulator, self._clearance, self._state_cost, self._control_cost, stride)
+            guess = continued_to_goal(rollout, self._limits, rollout.in_blocks(start, controls), stretch)
+            if guess is None or len(guess.controls) <= MAX_KNOTS:
+                return rollout, guess
+            stride *= 2
 
     def _land(self, rollout: Rollout, plan: Trajectory, trust: Trust) -> tuple[Trajectory | None, Trust]:
         landed = self._cut(plan)

@@ -12,6 +12,7 @@ Joint limits and clearances are many and rarely active. A solution is computed w
 crosses are added, and the program is solved again.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,18 @@ class Limits(NamedTuple):
     goal: Goal
     low: Float[np.ndarray, " control"]
     high: Float[np.ndarray, " control"]
+    velocity_margin: float = 0.0
+    """Distance to the bounds of velocities, as a fraction of them; if 0, programs do not see these bounds."""
+
+    def of_states(self) -> Iterator[tuple[int, int, float, float, float]]:
+        """Index in a state, index in a tangent, lower and upper bound, margin of each bounded number."""
+        space = self.space
+        for s, t in space.bounded:
+            yield s, t, float(space.low[s]), float(space.high[s]), LIMIT_MARGIN
+        if self.velocity_margin and not space.kinematic:
+            for k, bound in enumerate(space.velocity_bound):
+                s, t = space.num_positions + k, space.num_dofs + k
+                yield s, t, -float(bound), float(bound), self.velocity_margin * float(bound)
 
 
 class Change(NamedTuple):
@@ -112,7 +125,7 @@ def solve_program(
     for _ in range(MAX_CUTS):
         if x is None:
             return None
-        rows, room = _crossed_limits(limits.space, plan, model, x[: controls.size])
+        rows, room = _crossed_limits(limits, plan, model, x[: controls.size])
         if not len(room):
             break
         program = program.with_rows(rows, room)
@@ -161,21 +174,21 @@ def _with_effort(program: _Program, limits: Limits, controls: np.ndarray) -> _Pr
 
 
 def _crossed_limits(
-    space: StateSpace, plan: Trajectory, model: LinearModel, change: np.ndarray
+    limits: Limits, plan: Trajectory, model: LinearModel, change: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and limits for the joint limits and clearances that a change would cross."""
+    """Rows and limits for the bounds of states and the clearances that a change would cross."""
     horizon = change.size // plan.controls.shape[1]
     rows, room = [np.empty((0, change.size))], [np.empty(0)]
-    for s, t in space.bounded:
+    for s, t, lowest, highest, margin in limits.of_states():
         sensitivity = model.sensitivities[1 : horizon + 1, t, : change.size]
         moved = sensitivity @ change
-        for sign, bound in ((1.0, space.high[s]), (-1.0, space.low[s])):
+        for sign, bound in ((1.0, highest), (-1.0, lowest)):
             left = sign * (bound - plan.states[1 : horizon + 1, s])
-            allowed = np.maximum(left - LIMIT_MARGIN, 0.0)
-            crossed = np.flatnonzero(sign * moved > allowed + 0.1 * LIMIT_MARGIN)
+            allowed = np.maximum(left - margin, 0.0)
+            crossed = np.flatnonzero(sign * moved > allowed + 0.1 * margin)
             rows.append(sign * sensitivity[crossed])
             room.append(allowed[crossed])
-    positions = model.sensitivities[: horizon + 1, : space.num_dofs, : change.size]
+    positions = model.sensitivities[: horizon + 1, : limits.space.num_dofs, : change.size]
     gained = np.einsum("kpd,kd->kp", model.slopes[: horizon + 1], positions @ change)
     allowed = np.maximum(model.distances[: horizon + 1] - CLEARANCE, 0.0)
     for k, pair in np.argwhere(-gained > allowed + 0.1 * CLEARANCE):

@@ -74,9 +74,13 @@ class Rollout:
             return plan
         states = plan.states[:: self.stride][: len(means)]
         path = Trajectory(np.concatenate([states, plan.states[-1:]]), means)
-        promised = np.zeros((len(means) + 1, self.simulator.space.tangent_size))
+        return self.followed(path)
+
+    def followed(self, path: Trajectory) -> Trajectory:
+        """The trajectory that feedback keeps on a path, whose states may jump."""
+        promised = np.zeros((len(path.states), self.simulator.space.tangent_size))
         gains = self.linear_model(path).gains
-        followed, applied, _ = self._closed_loop(path, gains, np.zeros_like(means), promised)
+        followed, applied, _ = self._closed_loop(path, gains, np.zeros_like(path.controls), promised)
         return Trajectory(followed[0], applied[0])
 
     def _closed_loop(
