@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from planspace.rl.saved_policy import load_policy as load_policy
     from planspace.rl.trained import TrainedPolicies as TrainedPolicies
     from planspace.rl.training import train_policies as train_policies
+    from planspace.tasks.gymnasium import GymTask as GymTask
     from planspace.tasks.problem import Problem as Problem
     from planspace.tasks.problem_file import load_problem as load_problem
     from planspace.tasks.task import Task as Task
@@ -45,6 +46,7 @@ _MODULE_OF = {
     "Demos": "planspace.demos.dataset",
     "Embedding": "planspace.embed.embedding",
     "FitConfig": "planspace.embed.config",
+    "GymTask": "planspace.tasks.gymnasium",
     "Measurement": "planspace.embed.measurement",
     "Objective": "planspace.embed.objective",
     "PartialResult": "planspace.errors",

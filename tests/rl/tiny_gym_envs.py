@@ -41,6 +41,12 @@ class Puck(gymnasium.Env):
         return np.full((33, 41, 3), int(np.clip(80 * abs(self.x), 0, 255)), np.uint8)
 
 
+class Blind(Puck):
+    """A puck that cannot be drawn."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+
 class Chooser(Puck):
     """A puck with two choices instead of a force."""
 
@@ -59,6 +65,7 @@ class Reader(Puck):
 
 for name, kind, limit in (
     ("Puck", Puck, 20),
+    ("Blind", Blind, 20),
     ("Endless", Puck, None),
     ("Chooser", Chooser, 20),
     ("Reader", Reader, 20),

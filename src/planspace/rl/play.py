@@ -131,6 +131,8 @@ def film(policy: Policy, demos: Demos, file: Path, task: AnyTask | None = None) 
     if backend := rendering_backend():
         os.environ.setdefault("MUJOCO_GL", backend)  # what Gymnasium tries first may fail
     env = make_env(policy, task, "rgb_array")  # it draws itself, so the episodes are played again
+    if "rgb_array" not in env.metadata.get("render_modes", ()):
+        raise UsageError(f"{policy.about['task']} cannot be filmed: it has no render mode rgb_array.")
     step = float(demos.times[1])
     every = max(1, round(1.0 / (config.fps * step)))
     episodes = [demos.episode(i) for i in range(min(config.episodes, len(demos)))]

@@ -76,7 +76,7 @@ class GymTask:
 
     def __repr__(self) -> str:
         """Return the id and the arguments."""
-        return f"GymTask({', '.join([repr(self.id), *(f'{k}={v!r}' for k, v in self.kwargs.items())])})"
+        return f"GymTask({self.id!r}, {dict(self.kwargs)!r})" if self.kwargs else f"GymTask({self.id!r})"
 
     @property
     def name(self) -> str:
@@ -120,7 +120,7 @@ class GymTask:
         """Describe the task as plain data, as a run records it."""
         return {
             "id": self.id,
-            "kwargs": function_settings(self.kwargs),
+            "kwargs": _for_json(function_settings(self.kwargs)),
             "max_episode_steps": self.max_episode_steps,
             "obs_names": list(self.obs_names),
         }
@@ -226,8 +226,8 @@ def parse_gym_task(plain: Any) -> GymTask | None:
     """Build the task that `GymTask.plain` described in a file, which may come from someone else.
 
     Returns:
-        The task; None if its id names a module or an argument is not a number, because then it could run
-        code or read files. The user must pass such a task.
+        The task; None if its id names a module, or an argument is neither a number nor a list of numbers,
+        because then it could run code or read files. The user must pass such a task.
 
     Raises:
         TypeError: the description has fields of the wrong type.
@@ -238,10 +238,20 @@ def parse_gym_task(plain: Any) -> GymTask | None:
     kwargs, names, limit = plain.get("kwargs"), plain.get("obs_names"), plain.get("max_episode_steps")
     if not isinstance(kwargs, dict) or not isinstance(names, list) or not isinstance(limit, int | None):
         raise TypeError("the description of its Gymnasium environment has fields of the wrong type")
-    only_numbers = all(value is None or isinstance(value, bool | int | float) for value in kwargs.values())
+    numbers = [n for value in kwargs.values() for n in (value if isinstance(value, list) else [value])]
+    only_numbers = all(number is None or isinstance(number, bool | int | float) for number in numbers)
     if not only_numbers or not re.fullmatch(r"(?:[\w-]+/)?[\w.-]+", plain["id"]):
         return None
     return GymTask(plain["id"], kwargs, limit, tuple(map(str, names)))
+
+
+def _for_json(value: Any) -> Any:
+    """Plain data with text for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _for_json(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_for_json(item) for item in value]
+    return value if not isinstance(value, float) or math.isfinite(value) else repr(value)
 
 
 def _flat_names(task: str, space: gymnasium.Space[Any], prefix: str = "") -> Iterator[str]:

@@ -2,10 +2,13 @@
 
 import importlib
 import importlib.metadata
+import importlib.util
+import os
 
 import gymnasium
 
 from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.rendering import rendering_backend
 
 _ROBOTICS, _DM_CONTROL = ("gymnasium_robotics",), ("dm_control", "shimmy")
 PROVIDERS: dict[str, tuple[str, ...]] = {
@@ -64,6 +67,9 @@ def _providers(env_id: str) -> tuple[str, ...]:
 
 
 def _import_provider(module: str, task: str) -> None:
+    is_installed = importlib.util.find_spec(module) is not None
+    if module == "dm_control" and is_installed and (backend := rendering_backend()):
+        os.environ.setdefault("MUJOCO_GL", backend)  # dm_control chooses its backend when it is imported
     try:
         gymnasium.register_envs(importlib.import_module(module))
     except ModuleNotFoundError as error:
