@@ -17,7 +17,7 @@ NUM_SEEDS = 2**31
 
 
 class Steps(NamedTuple):
-    """What one step of every episode brought."""
+    """The result of one step in every episode."""
 
     rewards: Float[np.ndarray, " env"]
     terminated: Bool[np.ndarray, " env"]
@@ -127,7 +127,7 @@ class TaskEpisodes:
         return Steps(rewards, terminated, ~terminated & (self._elapsed >= self.task.horizon), diverged)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there is nothing to free."""
 
 
 class GymEpisodes:

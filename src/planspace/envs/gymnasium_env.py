@@ -10,7 +10,6 @@ from planspace.errors import PlanspaceError
 from planspace.tasks.env_state import state_reader
 from planspace.tasks.gymnasium import GymTask
 
-RGB_ARRAY = "rgb_array"
 DEFAULT_FPS = 30
 """Steps in a second, for an environment that does not say how long a step lasts."""
 
@@ -19,8 +18,8 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One environment of a `GymTask`, with the interface of `TaskEnv`.
 
     Observations are flat and float32. `info["state"]` and the attribute `state` hold the planning state,
-    which an embedding reads; `state_names` names its numbers. What the environment raises, and numbers that
-    are not finite, become a `PlanspaceError` that names the environment.
+    which an embedding reads; `state_names` names its numbers. If the environment raises an exception or
+    returns a number that is not finite, a `PlanspaceError` names the environment.
     """
 
     def __init__(self, task: GymTask, render_mode: str | None = None):
