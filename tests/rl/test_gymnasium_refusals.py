@@ -122,6 +122,7 @@ def test_what_needs_a_planning_problem_says_what_to_do(
         ({"kwargs": {"xml_file": "/etc/passwd"}}, "pass the task"),
         ({"id": 3}, "is invalid"),
         ({"kwargs": []}, "is invalid"),
+        ({"max_episode_steps": -3}, "is invalid .*`max_episode_steps` must be"),
         ({"id": "InvertedPendulum-v5"}, "was trained on the task"),
     ],
 )

@@ -231,7 +231,7 @@ def parse_gym_task(plain: Any) -> GymTask | None:
 
     Raises:
         TypeError: the description has fields of the wrong type.
-        UsageError: a field has a value that is not allowed.
+        ValueError: a field has a value that is not allowed.
     """
     if not isinstance(plain, dict) or not isinstance(plain.get("id"), str):
         raise TypeError("its Gymnasium environment has no id")
@@ -242,7 +242,10 @@ def parse_gym_task(plain: Any) -> GymTask | None:
     only_numbers = all(number is None or isinstance(number, bool | int | float) for number in numbers)
     if not only_numbers or not re.fullmatch(r"(?:[\w-]+/)?[\w.-]+", plain["id"]):
         return None
-    return GymTask(plain["id"], kwargs, limit, tuple(map(str, names)))
+    try:
+        return GymTask(plain["id"], kwargs, limit, tuple(map(str, names)))
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def _for_json(value: Any) -> Any:
