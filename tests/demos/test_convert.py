@@ -26,7 +26,11 @@ CSV = "time,x\n0,1\n0.1,2\n0.2,3\n"
 @pytest.mark.parametrize(
     ("files", "sources", "message"),
     [
-        ([], [], "give a source to import: FILE.npz, FILE.csv, minari:ID, FILE.json, FILE.out, or a folder"),
+        (
+            [],
+            [],
+            "give a source to import: FILE.npz, FILE.csv, minari:ID, FILE.hdf5, FILE.json, FILE.out, or",
+        ),
         ([], ["demos"], "demos is not a source of demonstrations; expected FILE.npz"),
         (["a.txt"], ["a.txt"], "a.txt is not a source of demonstrations"),
         (["in/a.txt"], ["in"], "in is not a source of demonstrations"),

@@ -105,12 +105,12 @@ class Render:
 
 @dataclass(frozen=True)
 class Import:
-    """Make a dataset from demonstrations in another format, such as NPZ, CSV or Minari."""
+    """Make a dataset from demonstrations in another format, such as NPZ, CSV, Minari or HDF5."""
 
     source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]]
     """The demonstrations, for example FILE.npz with `states`, `controls`, `time` and `offsets`, FILE.csv with
-    one demonstration or a column `episode`, or minari:ID. Several files, or a folder of files, make one
-    dataset. The error for a missing source lists all formats."""
+    one demonstration or a column `episode`, FILE.hdf5 of robomimic or D4RL, or minari:ID. Several files, or a
+    folder of files, make one dataset. The error for a missing source lists all formats."""
     out: Annotated[Path, arg(metavar="DIR")]
     """The dataset folder to make."""
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
@@ -118,8 +118,8 @@ class Import:
     state: UseAppendAction[
         Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
     ] = ()
-    """The column of a state; for Minari NAME=INDEX or NAME=KEY[INDEX]. By default columns are matched by
-    name."""
+    """The column of a state; for Minari and HDF5 also NAME=INDEX or NAME=KEY[INDEX]. By default columns are
+    matched by name."""
     control: UseAppendAction[
         Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
     ] = ()
@@ -127,6 +127,8 @@ class Import:
     names."""
     dt: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None
     """The time step, if the source does not record it."""
+    filter_key: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
+    """Import only the demonstrations that this list in the group `mask` of a robomimic file names."""
     as_recorded: bool = False
     """Keep uneven time steps and angles with full turns. Otherwise all demonstrations are resampled to one
     time step, and angles end in (-pi, pi]."""
@@ -140,7 +142,7 @@ class Import:
         from planspace.tasks.problem_file import load_problem
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)
-        options = ImportOptions(states, controls, self.dt, self.as_recorded)
+        options = ImportOptions(states, controls, self.dt, self.as_recorded, self.filter_key)
         problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
         folder = import_demos(self.source, self.out, state_info(problem) if problem else None, options)
         print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
@@ -152,8 +154,8 @@ class Export:
 
     folder: DemosFolder
     target: Positional[Annotated[str, arg(metavar="TARGET")]]
-    """FILE.npz, FILE.csv, or minari:ID, which is stored in Minari's own folder; or another format that
-    `demos import` reads and planspace writes."""
+    """FILE.npz, FILE.csv, FILE.hdf5 (robomimic's layout), or minari:ID, which is stored in Minari's own
+    folder; or another format that `demos import` reads and planspace writes."""
 
     def __call__(self) -> None:
         """Export the dataset."""

@@ -137,20 +137,7 @@ class Demos:
                 + (f"{missing[0]!r} is missing." if missing else "name at least one, each only once.")
             )
         columns = [self.info.names.index(name) for name in names]
-        circular, quaternions = self.info.circular_columns, self.info.quaternion_columns
-        info = replace(
-            self.info,
-            names=tuple(names),
-            units=tuple(self.info.units[c] for c in columns),
-            circular_columns=tuple(new for new, c in enumerate(columns) if c in circular),
-            quaternion_columns=tuple(
-                new
-                for new, c in enumerate(columns)
-                if c in quaternions and columns[new : new + 4] == [c, c + 1, c + 2, c + 3]
-            ),
-            joints=(),
-            source=None,
-        )
+        info = self.info.choose(tuple(names), columns)
         return replace(self, info=info, states=self.states[:, columns], goals=self.goals[:, columns])
 
     def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:

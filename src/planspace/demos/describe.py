@@ -151,9 +151,14 @@ def replay_errors(demos: Demos) -> np.ndarray:
     """Largest difference between recorded and replayed states, for each demonstration.
 
     Raises:
-        PlanspaceError: the dataset has no model.
+        PlanspaceError: the dataset has no model, or its controls are not those of the model.
     """
     model, space = demos.info.compile()
+    if not space.kinematic and demos.info.num_controls != model.nu:
+        raise PlanspaceError(
+            f"the controls have {demos.info.num_controls} numbers, but the model has {model.nu} actuators; "
+            "they cannot be replayed."
+        )
     errors = []
     for i in range(len(demos)):
         e = demos.episode(i)

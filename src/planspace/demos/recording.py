@@ -13,7 +13,7 @@ from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 
-OptionName = Literal["state", "control", "dt"]
+OptionName = Literal["state", "control", "dt", "filter-key"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,9 @@ class ImportOptions:
     """Time between states [s], for a source that does not record times."""
     as_recorded: bool = False
     """Keep uneven time steps and angles with full turns; the study of the 2020 data needs both."""
+
+    filter_key: str = ""
+    """Name of a list of demonstrations in the file; only these are read. Empty for all."""
 
     def __post_init__(self) -> None:
         """Check the time step."""
@@ -136,10 +139,16 @@ def check_options(options: ImportOptions, source: str, *usable: OptionName) -> N
     Raises:
         UsageError: another option was given.
     """
-    given = {"state": options.states, "control": options.controls, "dt": options.dt}
+    given = {
+        "state": options.states,
+        "control": options.controls,
+        "dt": options.dt,
+        "filter-key": options.filter_key,
+    }
+    reasons = {"dt": "has its own times", "filter-key": "has no lists of demonstrations"}
     for name, value in given.items():
         if value and name not in usable:
-            why = "has its own times" if name == "dt" else "has no named columns to choose from"
+            why = reasons.get(name, "has no named columns to choose from")
             raise UsageError(f"--{name} cannot be used with {source}, which {why}; leave it out.")
 
 

@@ -2,8 +2,8 @@
 
 import base64
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +73,28 @@ class StateInfo:
             raise PlanspaceError("the dataset has no model; import it with --problem.")
         model = load_model(self.source)
         return model, StateSpace.from_model(model, self.joints, kinematic=self.kinematic)
+
+    def choose(self, names: tuple[str, ...], columns: Sequence[int | None]) -> "StateInfo":
+        """Describe some columns of these states. A model needs all of its states, so there is no model.
+
+        Args:
+            names: the new names.
+            columns: the column of each; None if it is not one of these states.
+        """
+        columns = list(columns)
+        return replace(
+            self,
+            names=names,
+            units=tuple("" if c is None else self.units[c] for c in columns),
+            circular_columns=tuple(new for new, c in enumerate(columns) if c in self.circular_columns),
+            quaternion_columns=tuple(
+                new
+                for new, c in enumerate(columns)
+                if c in self.quaternion_columns and columns[new : new + 4] == list(range(c, c + 4))
+            ),
+            joints=(),
+            source=None,
+        )
 
     def plain(self) -> dict[str, Any]:
         """Describe the states as plain data, for a manifest or a hash."""

@@ -11,6 +11,7 @@ time steps and stores the result; the reader does not have to. `npz.py` is a goo
 
 from planspace.demos.formats.csv import CSV
 from planspace.demos.formats.format import Format
+from planspace.demos.formats.hdf5 import HDF5
 from planspace.demos.formats.minari import MINARI
 from planspace.demos.formats.npz import NPZ
 from planspace.demos.formats.plans_2020 import PLANS_2020_JSON, PLANS_2020_OUT
@@ -19,6 +20,7 @@ FORMATS: dict[str, Format] = {
     "npz": NPZ,
     "csv": CSV,
     "minari": MINARI,
+    "hdf5": HDF5,
     "plans-2020-json": PLANS_2020_JSON,
     "plans-2020-out": PLANS_2020_OUT,
 }
