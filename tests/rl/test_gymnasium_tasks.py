@@ -236,7 +236,7 @@ def test_the_joints_of_dm_control_are_read() -> None:
 # --- real environments ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trpo_learns_to_balance_gymnasiums_pendulum() -> None:
     trained = train_policies(PENDULUM, TrainConfig(num_seeds=2, steps=60_000))
     first, last = trained.history["return"][0], trained.history["return"][-1]
