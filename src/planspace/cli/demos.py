@@ -132,7 +132,9 @@ class Import:
     as_recorded: bool = False
     """Keep uneven time steps and angles with full turns. Otherwise all demonstrations are resampled to one
     time step, and angles end in (-pi, pi]."""
-    untrusted: Untrusted = False
+    untrusted: bool = False
+    """The model or the HDF5 file comes from someone you do not trust: read it in a separate process with
+    limited memory and time."""
 
     def __call__(self) -> None:
         """Import and save the dataset."""
@@ -142,7 +144,7 @@ class Import:
         from planspace.tasks.problem_file import load_problem
 
         states, controls = assignments("--state", self.state), assignments("--control", self.control)
-        options = ImportOptions(states, controls, self.dt, self.as_recorded, self.filter_key)
+        options = ImportOptions(states, controls, self.dt, self.as_recorded, self.filter_key, self.untrusted)
         problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
         folder = import_demos(self.source, self.out, state_info(problem) if problem else None, options)
         print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")

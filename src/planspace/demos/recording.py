@@ -31,6 +31,8 @@ class ImportOptions:
 
     filter_key: str = ""
     """Name of a list of demonstrations in the file; only these are read. Empty for all."""
+    untrusted: bool = False
+    """Read HDF5 files, and the models in them, in a subprocess with limited memory and time."""
 
     def __post_init__(self) -> None:
         """Check the time step."""

@@ -83,7 +83,7 @@ def _main() -> None:
     request = json.load(sys.stdin)
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what MuJoCo prints goes to standard error
-    _limit_resources(request["memory_bytes"], request["cpu_s"])
+    limit_resources(request["memory_bytes"], request["cpu_s"])
     from planspace.mjcf.compile import load_model
     from planspace.mjcf.read import read_model
 
@@ -101,7 +101,8 @@ def _main() -> None:
     out.flush()
 
 
-def _limit_resources(memory_bytes: int, cpu_s: int) -> None:
+def limit_resources(memory_bytes: int, cpu_s: int) -> None:
+    """Limit the memory and the CPU time of this process."""
     try:
         import resource
     except ImportError:  # Windows: only the time limit applies

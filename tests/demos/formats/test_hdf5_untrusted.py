@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from planspace.demos.convert import import_demos
+from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.errors import PlanspaceError
 
-from .test_hdf5 import rows, write, write_d4rl
+from .test_hdf5 import MESH, rows, write, write_d4rl
 
 h5py = pytest.importorskip("h5py")
 
@@ -177,3 +178,30 @@ def test_a_missing_h5py_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_h5py_is_imported_only_for_hdf5_files() -> None:
     code = "import sys, planspace.demos.convert; sys.exit('h5py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- --untrusted ------------------------------------------------------------------------------------
+
+
+def test_a_subprocess_reads_the_same_demonstrations(tmp_path: Path, capsys) -> None:
+    write(tmp_path / "a.hdf5", MESH)
+    read = {}
+    for untrusted in (False, True):
+        out, options = tmp_path / str(untrusted), ImportOptions(filter_key="train", untrusted=untrusted)
+        import_demos([str(tmp_path / "a.hdf5")], out, None, options)
+        read[untrusted] = load_demos(out).hash, capsys.readouterr().err
+    assert read[True] == read[False]
+    assert "no model" in read[True][1]
+
+
+def test_a_subprocess_says_what_is_wrong(tmp_path: Path) -> None:
+    write(tmp_path / "a.hdf5", states=np.full((4, 18), np.nan))
+    with pytest.raises(PlanspaceError, match="demonstration 0 has a state that is not finite"):
+        import_demos([str(tmp_path / "a.hdf5")], tmp_path / "out", None, ImportOptions(untrusted=True))
+
+
+def test_a_reader_that_crashes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "a.hdf5")
+    monkeypatch.setattr("planspace.demos.formats.hdf5_subprocess.sys.executable", "/bin/false")
+    with pytest.raises(PlanspaceError, match="a.hdf5 cannot be read within 600 s .* or crashes the reader"):
+        import_demos([str(tmp_path / "a.hdf5")], tmp_path / "out", None, ImportOptions(untrusted=True))

@@ -8,8 +8,9 @@ from planspace.errors import PlanspaceError, quoted
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import MAX_MODEL_BYTES, read_model
 from planspace.mjcf.skeleton import refers_to_files, skeleton
-from planspace.mjcf.source import ModelSource
+from planspace.mjcf.source import ModelFile, ModelSource
 from planspace.physics.space import StateSpace
+from planspace.storage.checks import check_file
 from planspace.storage.files import read_bytes
 
 MODEL_FOLDERS = ("models", ".")
@@ -66,8 +67,9 @@ def read_recorded_model(recording: Recording) -> RecordedModel | None:
         return _read_text(recording.model, where)
     path = _find(recording)
     if path is not None:
+        check_file(path, most=MAX_MODEL_BYTES)
         try:
-            return RecordedModel(_info(source := read_model(path), source))
+            return RecordedModel(_info(source := read_model(ModelFile(path)), source))
         except PlanspaceError:
             try:
                 text = read_bytes(path, most=MAX_MODEL_BYTES).decode()
