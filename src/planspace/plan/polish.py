@@ -4,7 +4,8 @@ A plan from a random tree wanders. Here its dynamics are linearised along it; a 
 change of all controls at once, within their bounds, the joints' limits and a trust region, after which the
 state at an earlier horizon lies in the goal region. Several fractions of the change are simulated, with
 feedback towards the states that the linear model promises. The horizon shrinks until no program finds a
-shorter plan. `polish_program` holds the linear program, `polish_rollout` the simulations.
+shorter plan. `polish_program` holds the linear program, `polish_rollout` the simulations, and
+`polish_repair` what may be done if a plan does not reach its goal.
 
 Rejected: iterative LQR with a terminal cost (it lands, but has no notion of the shortest horizon); shortcuts
 between states of the plan (two states of an underactuated plant can rarely be joined by a shorter edge).
