@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from planspace.cli.repair import repair
 from planspace.demos.convert import import_demos
 from planspace.demos.formats.minari import write_minari
+from planspace.demos.formats.robomimic_export import write_robomimic
 from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
@@ -128,6 +129,12 @@ def make_minari(folder: Path) -> Loader:
     return Loader(folder / "minari" / "a-v0" / "data" / "metadata.json", read, PLAIN_JSON)
 
 
+def make_hdf5(folder: Path) -> Loader:
+    pytest.importorskip("h5py")
+    write_robomimic(load_demos(GOLDEN / "demos"), str(folder / "exported.hdf5"))
+    return importer(folder / "d.hdf5", (folder / "exported.hdf5").read_bytes(), BYTES)
+
+
 # --- files in planspace's folders ----------------------------------------------------------------------
 
 
@@ -192,6 +199,7 @@ LOADERS: dict[str, Callable[[Path], Loader]] = {
     "json": lambda folder: importer(folder / "d.json", JSON_PATH.encode(), TEXT),
     "out": lambda folder: importer(folder / "d.out", OUT.encode(), TEXT, INFO),
     "minari": make_minari,
+    "hdf5": make_hdf5,
     "shard": make_shard,
     "checkpoint": make_checkpoint,
     "manifest": golden("demos/manifest.json", load_demos, SEALED_JSON),

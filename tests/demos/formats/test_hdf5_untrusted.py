@@ -160,6 +160,14 @@ def test_the_name_of_a_model_does_not_lead_elsewhere(name: str, tmp_path: Path) 
         assert name != "link.xml"
 
 
+def test_names_that_are_not_utf8_are_listed(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.hdf5", "w") as opened:
+        opened.create_group(b"\xff\xfe")
+        opened.create_group("episodes")
+    with pytest.raises(PlanspaceError, match="unknown layout: it contains .*xff.*episodes"):
+        import_demos([str(tmp_path / "a.hdf5")], tmp_path / "out", None, ImportOptions())
+
+
 @pytest.mark.parametrize("content", [b"", b"not HDF5", b"\x89HDF\r\n\x1a\n" + bytes(500)])
 def test_a_file_that_is_not_hdf5_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.hdf5").write_bytes(content)

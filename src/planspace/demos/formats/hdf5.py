@@ -74,7 +74,7 @@ def find_layout(file: Path) -> Layout:
     """
     with open_hdf5(file) as opened:
         group = hdf5_module().Group
-        top = {name: isinstance(opened[name], group) for name in opened}
+        top = {str(name): isinstance(opened[name], group) for name in opened}  # bytes if it is not UTF-8
     for layout in LAYOUTS:
         if layout.fits(top):
             return layout
