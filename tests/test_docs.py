@@ -24,6 +24,7 @@ EXTRAS = {
     "tutorial.md": ("stable_baselines3", "imageio"),
     "howto/own-environment.md": ("imageio",),  # gymnasium[mujoco]
     "howto/demonstrations.md": ("minari",),
+    "howto/agents.md": ("torch",),
 }
 SMALLER = {
     "--num 200": "--num 6",

@@ -24,6 +24,12 @@ CASES += [
     ("gymnasium_mujoco.py", ("Reacher-v5", "--out", OUT), "has 10 numbers, and 13 with z"),
     ("gymnasium_mujoco.py", ("InvertedPendulum-v5", "--out", OUT), "has 4 numbers, and 7 with z"),
     ("numpy_search.py", (EMBEDDING, "--num-envs", "20", "--iterations", "2"), r"iteration 1: mean +-\d"),
+    ("sb3_features.py", (EMBEDDING, "--num-envs", "2", "--steps", "4000"), r"features 7, return -\d+\.\d"),
+    (
+        "jax_env.py",
+        (EMBEDDING, "--num-envs", "8", "--iterations", "2"),
+        r"iteration 1: mean distance in z \d",
+    ),
     ("jax_loop.py", (EMBEDDING, "--num-envs", "5", "--iterations", "2"), r"iteration 1: return -\d"),
     (
         "minari_demos.py",
@@ -31,7 +37,7 @@ CASES += [
         r"(?s)episode 11 ends 0\.[01]\d from.*planspace embed minari:",
     ),
 ]
-NEEDS = {"agents_sb3.py": "sb3_contrib", "minari_demos.py": "minari"}
+NEEDS = {"agents_sb3.py": "sb3_contrib", "sb3_features.py": "stable_baselines3", "minari_demos.py": "minari"}
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 

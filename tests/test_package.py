@@ -32,7 +32,7 @@ STAGES = [
 
 def test_importing_planspace_is_light() -> None:
     code = "import sys, planspace, planspace.envs.wrappers as _; "
-    code += "print([m for m in ('jax', 'mujoco', 'matplotlib', 'onnx') if m in sys.modules])"
+    code += "print([m for m in ('jax', 'mujoco', 'matplotlib', 'onnx', 'torch') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
     from planspace.embed.config import FitConfig as FitConfig
     from planspace.embed.embedding import Embedding as Embedding
     from planspace.embed.fit import fit_embedding as fit_embedding
+    from planspace.embed.jax_function import jax_function as jax_function
     from planspace.embed.measurement import Measurement as Measurement
     from planspace.embed.measurement import measure_embedding as measure_embedding
     from planspace.embed.objective import Objective as Objective
     from planspace.embed.saved_embedding import load_embedding as load_embedding
+    from planspace.embed.torch_module import torch_module as torch_module
     from planspace.envs.make import make_env as make_env
     from planspace.envs.make import wrap as wrap
     from planspace.errors import PartialResult as PartialResult
@@ -59,6 +61,7 @@ _MODULE_OF = {
     "TrainedPolicies": "planspace.rl.trained",
     "UsageError": "planspace.errors",
     "fit_embedding": "planspace.embed.fit",
+    "jax_function": "planspace.embed.jax_function",
     "load_demos": "planspace.demos.load",
     "load_embedding": "planspace.embed.saved_embedding",
     "load_policy": "planspace.rl.saved_policy",
@@ -66,6 +69,7 @@ _MODULE_OF = {
     "make_env": "planspace.envs.make",
     "measure_embedding": "planspace.embed.measurement",
     "plan_demos": "planspace.plan.demonstrations",
+    "torch_module": "planspace.embed.torch_module",
     "train_policies": "planspace.rl.training",
     "wrap": "planspace.envs.make",
 }

@@ -98,8 +98,9 @@ def test_an_embedding_goes_out_as_onnx(
 ) -> None:
     onnx = pytest.importorskip("onnx")
     file = tmp_path / "e.onnx"
-    assert call(capsys, "export", embedding_folder, file, "--to", "onnx") == (0, f"{file}\n", "")
+    assert call(capsys, "export", embedding_folder, file) == (0, f"{file}\n", "")
     assert [output.name for output in onnx.load(file).graph.output] == ["mu", "sigma"]
     code, out, err = call(capsys, "export", embedding_folder, file)
     assert (code, out) == (1, "")
     assert err == f"planspace: {file} exists already; choose another file, or remove it first.\n"
+    assert call(capsys, "export", embedding_folder, tmp_path / "e.bin", "--to", "onnx")[0] == 0

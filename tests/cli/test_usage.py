@@ -68,6 +68,8 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["play", "x", "--video", "x.txt"], "x.txt is not a film; give FILE.gif or FILE.mp4"),
         (["export", "e"], "Missing from planspace export: FILE"),
         (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
+        (["export", "e", "e.pt"], "e.pt has the suffix '.pt', which is not a known format"),
+        (["export", "e", "encoder"], "encoder has the suffix '', which is not a known format"),
     ],
 )
 def test_wrong_usage_is_one_line_and_exit_code_2(

@@ -4,7 +4,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import jax.random as jr
 import numpy as np
 import pytest
 
@@ -12,31 +11,15 @@ import planspace
 from planspace.embed import export
 from planspace.embed.embedding import Embedding, LinearMap
 from planspace.embed.inputs import Inputs, InputType
-from planspace.embed.networks import GaussianNetwork
 from planspace.errors import PlanspaceError
+
+from .random_encoder import random_encoder
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 
 TOLERANCE = 1e-5
 SEVERAL_TURNS = 50.0
-TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.1], [0.0, 0.2, 2.0]])
-
-
-def made(form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)) -> Embedding:
-    """An encoder with random weights; the mean of x is large relative to its standard deviation."""
-    num = 4 + (len(circular) if form == "trig" else 0)
-    mean = np.linspace(0.1, 0.7, num) if form == "trig" else np.zeros(num)
-    if 0 not in circular:
-        mean[0] *= 7000.1
-    deviation = np.linspace(0.3, 2.0, num) if form == "trig" else np.ones(num)
-    inputs = Inputs(("x", "theta", "xd", "phi"), ("m", "rad", "m/s", "rad"), circular, form, mean, deviation)
-    net = GaussianNetwork(num, 3, hidden, 0.0, key=jr.key(1))
-    rng = np.random.default_rng(2)
-    weights = [np.asarray(w) for w in net.weights]
-    biases = [rng.normal(size=len(b)).astype(np.float32) for b in net.biases]
-    decoder = ([np.zeros((2 * num, 3))], [np.zeros(2 * num)])
-    return Embedding(inputs, (weights, biases), decoder, 0.2, LinearMap(TURN, np.array([0.3, -1.0, 2.0])))
 
 
 def run(path: Path, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +42,7 @@ def assert_same(embedding: Embedding, path: Path, states: np.ndarray) -> None:
 def test_onnxruntime_gives_the_same_outputs(
     form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...], tmp_path: Path, rng
 ) -> None:
-    embedding = made(form, circular, hidden)
+    embedding = random_encoder(form, circular, hidden)
     export.export_onnx(embedding, tmp_path / "e.onnx")
     states = rng.normal(size=(200, 4))
     states[:, list(circular)] = rng.uniform(-1, 1, (200, len(circular))) * SEVERAL_TURNS
@@ -79,7 +62,7 @@ def test_a_trained_embedding_and_principal_components(embedding: Embedding, demo
 
 
 def test_a_full_turn_does_not_change_the_outputs(tmp_path: Path) -> None:
-    embedding = made("trig", (1,))
+    embedding = random_encoder("trig", (1,))
     export.export_onnx(embedding, tmp_path / "e.onnx")
     state = np.array([[700.0, 0.5, 0.1, 0.2], [700.0, 0.5 + 2 * np.pi, 0.1, 0.2]], np.float32)
     mu, _ = run(tmp_path / "e.onnx", state)
@@ -120,7 +103,7 @@ def test_an_existing_file_is_not_overwritten(embedding: Embedding, tmp_path: Pat
 
 
 def test_a_model_with_other_outputs_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    embedding = made("trig", (1,))
+    embedding = random_encoder("trig", (1,))
     bias = embedding.encoder[1][-1] + np.float32(1e-4)
     wrong = replace(embedding, encoder=(embedding.encoder[0], [*embedding.encoder[1][:-1], bias]))
     build = export._build
@@ -132,7 +115,7 @@ def test_a_model_with_other_outputs_is_not_written(tmp_path: Path, monkeypatch: 
 
 
 def test_a_model_with_outputs_that_are_not_finite_is_not_written(tmp_path: Path) -> None:
-    embedding = made("raw", ())
+    embedding = random_encoder("raw", ())
     embedding.encoder[1][-1][0] = np.nan
     with pytest.raises(PlanspaceError, match="mu is off by nan"):
         export.export_onnx(embedding, tmp_path / "e.onnx")

@@ -220,11 +220,7 @@ class Embedding:
 
     def _checked(self, states: np.ndarray) -> np.ndarray:
         states = np.asarray(states, dtype=np.float64)
-        if states.shape[-1:] != (self.state_dim,):
-            raise PlanspaceError(
-                f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
-                f"got {states.shape[-1] if states.ndim else 'a single number'}."
-            )
+        self.inputs.check_shape(states.shape)
         return states
 
     def arrays(self) -> Arrays:

@@ -1,14 +1,6 @@
 """Export an embedding's encoder as an ONNX file, for programs without Python (extra `onnx`).
 
-The graph, for states x [batch, n] in float32:
-
-    features    x as it is; for `trig`, the other columns, then sin and cos of the circular ones
-    centred     features - mean; the mean is subtracted in two float32 parts
-    h           ReLU layers; 1 / std is folded into the first weights
-    mu, sigma   linear; ELU of a linear layer, + 1 (equation 12); then the embedding's linear map
-
-The mean is not folded into the first bias: that would lose digits where a state is large compared with its
-standard deviation. Angles are not wrapped: the runtime's sin and cos are exact to 1e-7 at any angle.
+The graph computes what `float32_encoder` describes, for states [batch, n] in float32.
 """
 
 import json
@@ -20,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 import planspace
-from planspace.embed.embedding import Embedding, LinearMap
+from planspace.embed.embedding import Embedding
+from planspace.embed.float32_encoder import Float32Encoder, Layer, float32_encoder
 from planspace.errors import PlanspaceError
 from planspace.storage.files import make_folder, write_bytes
 
@@ -74,61 +67,41 @@ class _Graph:
         self.constants.append(self._onnx.numpy_helper.from_array(np.ascontiguousarray(value), name))
         return name
 
-    def linear(self, x: str, weight: np.ndarray, bias: np.ndarray, name: str) -> str:
-        """Add a linear layer with weight [out, in] and bias [out]; only here are they rounded to float32."""
-        w = self.constant(f"{name}.weight", weight.astype(np.float32))
-        b = self.constant(f"{name}.bias", bias.astype(np.float32))
+    def linear(self, x: str, layer: Layer, name: str) -> str:
+        weight, bias = layer
+        w = self.constant(f"{name}.weight", weight)
+        b = self.constant(f"{name}.bias", bias)
         return self.node("Gemm", x, w, b, name=name, transB=1)
 
 
 def _build(onnx: ModuleType, embedding: Embedding) -> Any:
-    graph = _Graph(onnx)
-    weights = [w.astype(np.float64) for w in embedding.encoder[0]]
-    biases = [b.astype(np.float64) for b in embedding.encoder[1]]
-    x, order = _features(graph, embedding)
-    x = _centred(graph, x, embedding.inputs.mean[order])
-    weights[0] = weights[0][:, order] / embedding.inputs.std[order]
-    for i in range(len(weights) - 1):
-        x = graph.node("Relu", graph.linear(x, weights[i], biases[i], f"layer{i}"), name=f"relu{i}")
-    z = embedding.z_dim
-    linear_map = embedding.linear_map or LinearMap(np.eye(z), np.zeros(z))
-    matrix = linear_map.matrix.astype(np.float64)
-    graph.linear(x, matrix.T @ weights[-1][:z], (biases[-1][:z] - linear_map.centre) @ matrix, OUTPUTS[0])
-    rho = graph.linear(x, weights[-1][z:], biases[-1][z:], "rho")
+    graph, encoder = _Graph(onnx), float32_encoder(embedding)
+    x = _features(graph, encoder)
+    if encoder.mean.any():
+        x = graph.node("Sub", x, graph.constant("mean", encoder.mean), name="centred")
+    for i, layer in enumerate(encoder.hidden):
+        x = graph.node("Relu", graph.linear(x, layer, f"layer{i}"), name=f"relu{i}")
+    graph.linear(x, encoder.mu, OUTPUTS[0])
+    rho = graph.linear(x, encoder.rho, "rho")
     one = graph.constant("one", np.ones(1, np.float32))
     sigma = graph.node("Add", graph.node("Elu", rho, name="elu"), one, name="latent_sigma")
     variance = graph.node("Mul", sigma, sigma, name="latent_variance")
-    squares = graph.constant("turn.squares", (matrix**2).astype(np.float32))
+    matrix = np.eye(embedding.z_dim) if embedding.linear_map is None else embedding.linear_map.matrix
+    squares = graph.constant("turn.squares", (matrix.astype(np.float64) ** 2).astype(np.float32))
     graph.node("Sqrt", graph.node("MatMul", variance, squares, name="variance"), name=OUTPUTS[1])
     return _model(onnx, graph, embedding)
 
 
-def _features(graph: _Graph, embedding: Embedding) -> tuple[str, np.ndarray]:
-    """Add the inputs before standardising, grouped; return their name and the index of each in `Inputs`."""
-    inputs = embedding.inputs
-    if inputs.form != "trig" or not inputs.circular_columns:
-        return INPUT, np.arange(embedding.state_dim)
-    circular = np.array(sorted(inputs.circular_columns))
-    straight = np.setdiff1d(np.arange(embedding.state_dim), circular)
-    places = {column: inputs.columns.index(column) for column in range(embedding.state_dim)}
-    angles = graph.node("Gather", INPUT, graph.constant("circular", circular), name="angles", axis=1)
+def _features(graph: _Graph, encoder: Float32Encoder) -> str:
+    """Add the inputs before standardising; return their name."""
+    if not len(encoder.circular):
+        return INPUT
+    angles = graph.node("Gather", INPUT, graph.constant("circular", encoder.circular), name="angles", axis=1)
     parts = [graph.node("Sin", angles, name="sin"), graph.node("Cos", angles, name="cos")]
-    sines = [places[c] for c in circular]
-    order = [*sines, *(place + 1 for place in sines)]
-    if len(straight):
-        columns = graph.constant("straight", straight)
+    if len(encoder.straight):
+        columns = graph.constant("straight", encoder.straight)
         parts.insert(0, graph.node("Gather", INPUT, columns, name="numbers", axis=1))
-        order = [*(places[c] for c in straight), *order]
-    return graph.node("Concat", *parts, name="features", axis=1), np.array(order)
-
-
-def _centred(graph: _Graph, x: str, mean: Float[np.ndarray, " input"]) -> str:
-    if not mean.any():
-        return x
-    high = mean.astype(np.float32)
-    low = (mean - high).astype(np.float32)
-    x = graph.node("Sub", x, graph.constant("mean.high", high), name="centred.high")
-    return graph.node("Sub", x, graph.constant("mean.low", low), name="centred")
+    return graph.node("Concat", *parts, name="features", axis=1)
 
 
 def _model(onnx: ModuleType, graph: _Graph, embedding: Embedding) -> Any:

@@ -99,6 +99,18 @@ class Inputs:
             values[..., i + 1] = np.cos(values[..., i + 1])
         return values
 
+    def check_shape(self, shape: Sequence[int]) -> None:
+        """Check the shape of an array of states.
+
+        Raises:
+            PlanspaceError: the states have the wrong number of columns.
+        """
+        if tuple(shape[-1:]) != (len(self.names),):
+            raise PlanspaceError(
+                f"the embedding reads states of {len(self.names)} numbers ({', '.join(self.names)}), "
+                f"got {shape[-1] if len(shape) else 'a single number'}."
+            )
+
     def __call__(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch input"]:
         """Convert states to the encoder's inputs."""
         return (self.expand(states) - self.mean) / self.std
