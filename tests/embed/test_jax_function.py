@@ -49,8 +49,6 @@ def test_a_wrong_number_of_columns_is_refused_as_in_numpy(shape: tuple[int, ...]
     with pytest.raises(PlanspaceError) as by_numpy:
         ENCODERS[0].encode(np.zeros(shape))
     for encode in (ps.jax_function(ENCODERS[0]), jax.jit(ps.jax_function(ENCODERS[0]))):
-        with pytest.raises(
-            PlanspaceError, match=r"^the embedding reads states of 4 numbers[^\n]*$"
-        ) as caught:
+        with pytest.raises(PlanspaceError) as caught:
             encode(np.zeros(shape))
         assert str(caught.value) == str(by_numpy.value)
