@@ -93,7 +93,7 @@ def test_what_no_study_can_be_made_of_is_refused(tmp_path: Path) -> None:
         make_study("recipe", "smoke", task="cartpol")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_runs_every_arm_and_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,7 +131,7 @@ print(run_study(study, Path("out"), workers=2))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_an_interrupted_study_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(grid.BUDGETS, "smoke", TINY)
