@@ -1,7 +1,6 @@
 """HDF5 files in the layouts of robomimic, robosuite and D4RL."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,53 +15,11 @@ from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 from tests.conftest import RELEASED
 
+from .hdf5_files import MESH, WHOLE, load, rows, write, write_d4rl
+
 h5py = pytest.importorskip("h5py")
 
-MODEL = """<mujoco><worldbody>
-<body name="base"><geom size=".1" mass="1"/><joint name="turn" axis="0 1 0"/>
-  <body><geom {geom} mass="1"/><joint name="limited" axis="1 0 0" range="-1 1"/></body></body>
-<body name="cube"><geom size=".1" mass="1"/><freejoint name="cube_joint0"/></body>
-</worldbody><actuator><motor joint="turn"/><motor joint="limited"/></actuator></mujoco>"""
-WHOLE, MESH = (
-    MODEL.format(geom='size=".1"'),
-    MODEL.format(geom='type="mesh" mesh="hand"').replace(
-        "<worldbody>", '<asset><mesh name="hand" file="/home/someone/hand.stl"/></asset><worldbody>'
-    ),
-)
 NAMES = ("turn", "limited", *(f"cube_joint0_{part}" for part in ("x", "y", "z", "qw", "qx")))
-
-
-def rows(num: int = 4) -> np.ndarray:
-    """States [time, qpos, qvel] of `MODEL`."""
-    states = np.random.default_rng(0).uniform(-1, 1, (num, 18))
-    states[:, 6:10] = [1, 0, 0, 0]
-    states[:, 0] = 3 + 0.05 * np.arange(num)
-    return states
-
-
-def write(file: Path, model: str = WHOLE, num_demos: int = 3, **arrays: np.ndarray) -> None:
-    """A file as robomimic writes them."""
-    content = {"states": rows(), "actions": np.ones((4, 2)), **arrays}
-    with h5py.File(file, "w") as opened:
-        data = opened.create_group("data")
-        data.attrs["env_args"] = json.dumps(
-            {"env_name": "Lift", "type": 1, "env_kwargs": {"control_freq": 20, "robots": ["Panda"]}}
-        )
-        for i in (10, 2, 1)[:num_demos]:  # HDF5 sorts by text
-            demo = data.create_group(f"demo_{i}")
-            demo.attrs["model_file"], demo.attrs["num_samples"] = model, 4
-            for key, array in content.items():
-                demo.create_dataset(key, data=array, compression="gzip", shuffle=True, fletcher32=True)
-            demo["actions"][0] = i
-            demo.create_dataset("obs/eef_pos", data=np.arange(12.0).reshape(4, 3))
-            demo.create_dataset("obs/image", data=np.zeros((4, 2, 2, 3), np.uint8))
-        opened["mask/train"] = np.array([b"demo_1", b"demo_10"])
-
-
-def load(tmp_path: Path, name: str = "a.hdf5", info: StateInfo | None = None, **options) -> Demos:
-    shutil.rmtree(tmp_path / "out", ignore_errors=True)
-    import_demos([str(tmp_path / name)], tmp_path / "out", info, ImportOptions(**options))
-    return load_demos(tmp_path / "out")
 
 
 # --- robomimic --------------------------------------------------------------------------------------
@@ -169,6 +126,29 @@ def test_controls_that_are_no_actuators_cannot_be_replayed(tmp_path: Path) -> No
         validate(tmp_path / "out", replay_controls=True)
 
 
+def test_a_demonstration_without_states_is_named(tmp_path: Path) -> None:
+    write(tmp_path / "a.hdf5")
+    with h5py.File(tmp_path / "a.hdf5", "a") as opened:
+        del opened["data/demo_10/states"]
+    for states in ({}, {"x": "eef_pos[0]"}):
+        with pytest.raises(PlanspaceError, match="a.hdf5, demo_10 has no array 'states'"):
+            load(tmp_path, states=states)
+        with h5py.File(tmp_path / "a.hdf5", "a") as opened:
+            opened["data"].attrs["env_args"] = "{"
+
+
+def test_without_states_observations_must_be_chosen(tmp_path: Path, capsys) -> None:
+    write(tmp_path / "a.hdf5")
+    with h5py.File(tmp_path / "a.hdf5", "a") as opened:
+        for i in (1, 2, 10):
+            del opened[f"data/demo_{i}/states"]
+    with pytest.raises(UsageError, match="has no array 'states'; choose the states with --state"):
+        load(tmp_path)
+    demos = load(tmp_path, states={"x": "eef_pos[0]"})
+    assert demos.states[:4, 0].tolist() == [0, 3, 6, 9]
+    np.testing.assert_allclose(demos.times[:4], [0, 0.05, 0.1, 0.15])  # from the control frequency
+
+
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
@@ -218,72 +198,18 @@ def test_demonstrations_without_controls_are_exported(tmp_path: Path) -> None:
     assert load_demos(tmp_path / "again").hash == first.hash
 
 
-# --- D4RL -------------------------------------------------------------------------------------------
+def test_an_export_is_imported_for_a_problem_with_some_of_its_states(demos: Demos, tmp_path: Path) -> None:
+    export_demos(demos, str(tmp_path / "a.hdf5"))
+    names = demos.info.names[1::-1]
+    some = demos.select(names)
+    back = load(tmp_path, info=some.info)
+    np.testing.assert_array_equal(back.states, some.states)
+    np.testing.assert_array_equal(back.goals, some.goals)
+    with pytest.raises(UsageError, match="--state and --dt cannot be used with a.hdf5, which planspace"):
+        load(tmp_path, dt=0.1)
 
 
-def write_d4rl(file: Path, **arrays: np.ndarray | None) -> None:
-    content = {
-        "observations": np.arange(24.0, dtype=np.float32).reshape(8, 3),
-        "actions": np.arange(8.0)[:, None],
-        "rewards": np.zeros(8),
-        "terminals": np.array([0, 0, 1, 0, 0, 0, 0, 0], dtype=bool),
-        "timeouts": np.array([0, 0, 0, 1, 0, 0, 0, 0], dtype=bool),
-        "infos/qpos": np.arange(16.0).reshape(8, 2),
-        "infos/qvel": np.arange(8.0).reshape(8, 1),
-        **arrays,
-    }
-    with h5py.File(file, "w") as opened:
-        for key, array in content.items():
-            if array is not None:
-                opened[key] = array
-        opened["metadata/algorithm"] = "SAC"
-
-
-def test_episodes_are_cut_at_terminals_and_timeouts(tmp_path: Path, capsys) -> None:
-    write_d4rl(tmp_path / "a.hdf5")
-    demos = load(tmp_path)
-    assert capsys.readouterr().err == (
-        "the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.\n"
-        "1 of 3 episodes have one state: left out.\n"
-    )
-    assert demos.info.names == ("qpos0", "qpos1", "qvel0")
-    assert demos.offsets.tolist() == [0, 3, 7]
-    assert demos.states[:, 2].tolist() == [0, 1, 2, 4, 5, 6, 7]
-    assert demos.controls[:, 0].tolist() == [0, 1, 4, 5, 6]
-
-
-def test_without_qpos_the_observations_are_the_states(tmp_path: Path) -> None:
-    write_d4rl(tmp_path / "a.h5", **{"infos/qvel": None, "timeouts": None})
-    demos = load(tmp_path, "a.h5", dt=0.5)
-    assert demos.info.names == ("state0", "state1", "state2")
-    assert demos.offsets.tolist() == [0, 3, 8]
-    assert demos.times.tolist() == [0, 0.5, 1, 0, 0.5, 1, 1.5, 2]
-    np.testing.assert_array_equal(demos.states, np.arange(24.0).reshape(8, 3))
-
-
-def test_d4rl_states_are_chosen_by_array_and_index(tmp_path: Path) -> None:
-    write_d4rl(tmp_path / "a.hdf5")
-    demos = load(tmp_path, states={"a": "2", "b": "infos/qpos[1]", "c": "observations[0]"})
-    assert demos.states[0].tolist() == [2, 1, 0]
-    with pytest.raises(UsageError, match="no key 'infos/acc'"):
-        load(tmp_path, states={"a": "infos/acc[1]"})
-
-
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"terminals": None, "timeouts": None}, "neither terminals nor timeouts"),
-        ({"actions": np.zeros((7, 1))}, "actions has 7 rows, but observations has 8"),
-        ({"terminals": np.zeros((8, 2))}, r"terminals has the shape \(8, 2\); expected \(8,\)"),
-    ],
-)
-def test_d4rl_arrays_that_do_not_fit_are_refused(arrays: dict, message: str, tmp_path: Path) -> None:
-    write_d4rl(tmp_path / "a.hdf5", **arrays)
-    with pytest.raises(PlanspaceError, match=message):
-        load(tmp_path)
-
-
-# --- both -------------------------------------------------------------------------------------------
+# --- layouts -------------------------------------------------------------------------------------------
 
 
 def test_another_layout_is_refused_with_what_it_contains(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.errors import PlanspaceError
 
-from .test_hdf5 import MESH, rows, write, write_d4rl
+from .hdf5_files import MESH, rows, write, write_d4rl
 
 h5py = pytest.importorskip("h5py")
 

@@ -62,6 +62,8 @@ class _Recorded:
     """Names of the groups of the demonstrations in order."""
     own: StateInfo | None
     """The meaning of the array `states`; None if there is no such array."""
+    num_controls: int
+    """Numbers in an action; 0 if there are no actions."""
     has_time: bool
     """Whether the first column of `states` is the time."""
     step: float | None
@@ -93,13 +95,13 @@ def read_robomimic(sources: Sequence[str], info: StateInfo | None, options: Impo
     files = [_read_file(Path(source), options) for source in sources]
     first = files[0]
     for file in files[1:]:
-        if file.own != first.own:
+        if (file.own, file.num_controls) != (first.own, first.num_controls):
             raise PlanspaceError(
                 f"{file.path} has other states, actions or models than {first.path}; import each file on its "
                 "own."
             )
     if info is None:
-        info = _chosen_info(first.own, options) if options.states else first.own
+        info = _chosen_info(first, options) if options.states else first.own
     if info is None:
         raise UsageError(
             f"{first.path} has no array 'states'; choose the states with --state NAME=KEY[INDEX], where KEY "
@@ -119,7 +121,7 @@ def _read_file(path: Path, options: ImportOptions) -> _Recorded:
                     f"--state and --dt cannot be used with {path.name}, which planspace exported with names "
                     "and times; leave them out."
                 )
-            return _Recorded(path, demos, own, True, None, True, ())
+            return _Recorded(path, demos, own, own.num_controls, True, None, True, ())
         first = data[demos[0]]
         states, actions = find_array(first, STATES), find_array(first, ACTIONS)
         num_controls = 0 if actions is None else int(np.prod(actions.shape[1:]))
@@ -137,7 +139,7 @@ def _read_file(path: Path, options: ImportOptions) -> _Recorded:
         if step is None and not has_time:
             step = 1.0
             notices.append("the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.")
-        return _Recorded(path, demos, own, has_time, step, False, tuple(notices))
+        return _Recorded(path, demos, own, num_controls, has_time, step, False, tuple(notices))
 
 
 def _select(opened: Any, path: Path, filter_key: str) -> tuple[str, ...]:
@@ -193,7 +195,7 @@ def _json(text: str | None) -> dict[str, Any]:
 def _models(
     data: Any, demos: Sequence[str], path: Path, environment: _Environment
 ) -> list[RecordedModel | None]:
-    """The models of all demonstrations, each once; none of them stays if their joints differ."""
+    """The models of all demonstrations, each once."""
     texts = dict.fromkeys(read_text(data[name], "model_file") or "" for name in demos)
     recordings = (Recording(text, path, environment.name, environment.robot) for text in texts)
     return [read_recorded_model(recording) for recording in recordings]
@@ -221,10 +223,10 @@ def _own_info(
     return anonymous_info(size - environment.is_mujoco, 0), environment.is_mujoco
 
 
-def _chosen_info(own: StateInfo | None, options: ImportOptions) -> StateInfo:
+def _chosen_info(file: _Recorded, options: ImportOptions) -> StateInfo:
     """Describe the states that the user chose; those that are joints keep their units and angles."""
     names, places = tuple(options.states), options.states.values()
-    own = own or anonymous_info(0, 0)
+    own = file.own or anonymous_info(0, file.num_controls)
     return own.choose(names, [own.names.index(p) if p in own.names else None for p in places])
 
 
@@ -253,18 +255,23 @@ def _episode(file: _Recorded, group: Any, info: StateInfo, options: ImportOption
         times = np.arange(len(states)) * file.step
     check_rising(times, lambda i: f"{where}, row {i}")
     controls = _controls(group, len(states), info.num_controls, where)
-    if file.exported:
-        return exported_episode(group, states, controls, times, where)
-    return recorded(states, controls, times, index)
+    if not file.exported:
+        return recorded(states, controls, times, index)
+    assert file.own is not None and rows is not None
+    episode, own = exported_episode(group, rows, controls, times, where), file.own.names
+    columns = [own.index(name) if name in own else i for i, name in enumerate(info.names)]
+    return replace(episode, states=states, goal=episode.goal[columns])
 
 
 def _states(
     file: _Recorded, group: Any, where: str
 ) -> tuple[Float[np.ndarray, " time"] | None, Float[np.ndarray, "time state"] | None]:
     """The times, if the file has them, and the array `states` without them."""
-    array = find_array(group, STATES)
-    if array is None or file.own is None:
+    if file.own is None:
         return None, None
+    array = find_array(group, STATES)
+    if array is None:
+        raise PlanspaceError(f"{where} has no array 'states'.")
     rows = read_rows(array)
     wanted = len(file.own.names) + file.has_time
     if rows.ndim != 2 or rows.shape[1] != wanted:
