@@ -54,13 +54,14 @@ def locomotion_problem(name: str, folder: Path, metres: float, upright: bool) ->
     (folder / file).write_bytes((GYM / file).read_bytes())
     num = 14 if name == "gym-ant" else len(start)
     root = {"root": {"low": [-2.0, -2.0, 0.0], "high": [5.0, 2.0, 3.0]}}
+    tolerance = 0.3 if upright else 0.05
     content = {
         "model": file,
         "joints": joints.split(),
         "start": [*start, *(0.0,) * num],
-        "goal": [metres, *start[1:], *(0.0,) * num],
+        "goal": [metres + tolerance, *start[1:], *(0.0,) * num],
         "goal_weights": [1.0, *(0.0,) * (2 * num - 1)],
-        "tolerance": 0.1,
+        "tolerance": tolerance,
         "hold": False,
         "limit_slack": 0.3,
         "position_bounds": root if name == "gym-ant" else SLIDES,

@@ -123,7 +123,8 @@ class Pipeline:
         wanted = config.max_iterations and config.shortcut_rounds and self.problem.cost == "duration"
         if not wanted or not has_contacts(query, plan.controls):
             return plan
-        controls = Shortcut(self.simulator, query.goal, config, rng).run(query.start, plan.controls)
+        own = rng.spawn(1)[0]  # the next search draws the same numbers with and without shortcuts
+        controls = Shortcut(self.simulator, query.goal, config, own).run(query.start, plan.controls)
         shorter = plan if controls is None else replay_plan(query, controls)
         return shorter if isinstance(shorter, Trajectory) else plan
 
