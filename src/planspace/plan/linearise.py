@@ -146,7 +146,7 @@ def at_rest(simulator: Simulator, goal: Goal) -> Goal:
     for _ in range(EQUILIBRIUM_ITERATIONS):
         center[states], control = np.split(found, [len(free)])
         a, b = along(simulator, center[None], control[None])
-        moved = space.difference(_step_all(simulator, center[None], control[None], 1)[0], center)
+        moved = space.difference(step_all(simulator, center[None], control[None], 1)[0], center)
         slopes = np.hstack([(a[0] - np.eye(space.tangent_size))[:, tangents], b[0]])
         change = lsq_linear(slopes, -moved, bounds=(low - found, high - found), method="bvls").x
         found = np.clip(found + change, low, high)
