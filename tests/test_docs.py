@@ -76,7 +76,12 @@ def runs(page: Path) -> bool:
 
 QUICK = ("environments.md", "howto/own-environment.md", "howto/shaping.md")
 """Pages that run within seconds."""
-LONG = ("howto/own-objective.md", "howto/demonstrations.md")
+LONG = (
+    "howto/own-objective.md",
+    "howto/demonstrations.md",
+    "howto/gymnasium-task.md",
+    "howto/python-api.md",
+)
 """Pages that run for more than half a minute and whose commands other tests run, too."""
 RUNNING = [
     pytest.param(

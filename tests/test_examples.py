@@ -41,7 +41,7 @@ NEEDS = {"agents_sb3.py": "sb3_contrib", "sb3_features.py": "stable_baselines3",
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 
-LONG = ("Reacher-v5", "swingup/expert-v0")
+LONG = ("Reacher-v5", "InvertedPendulum-v5", "swingup/expert-v0")
 """Arguments of the longest runs."""
 RUNS = [
     pytest.param(

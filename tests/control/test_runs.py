@@ -72,8 +72,8 @@ def test_demonstrations_end_where_the_robot_arrived(tmp_path: Path) -> None:
     found = control(tmp_path / "run", 2, seconds=4.0)
     whole, demos = load_demos(tmp_path / "run" / "episodes"), load_demos(tmp_path / "run" / "demos")
     assert found.success == len(demos) / 2 and found.return_worst <= found.return_mean
-    for i in demos.indices:
-        arrived = demos.episode(list(demos.indices).index(i)).states
+    for number, i in enumerate(map(int, demos.indices)):
+        arrived = demos.episode(number).states
         assert PENDULUM.at_goal(arrived, whole.goals[0, :0])[-1]
         assert not PENDULUM.at_goal(arrived, whole.goals[0, :0])[-2]
         assert (whole.episode(i).states[: len(arrived)] == arrived).all()

@@ -66,7 +66,7 @@ def test_interrupted_training_gives_the_same_weights_bit_for_bit(
     assert file_hash(tmp_path / "interrupted" / name) == file_hash(tmp_path / "uninterrupted" / name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_seed_does_not_depend_on_the_other_seeds(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=50, batch=16)
     single = fit_embedding(demos, out=tmp_path / "single", config=config, num_seeds=1, seed=1, split_seed=0)
@@ -207,7 +207,7 @@ def _shortened(demos: Demos, i: int, length: int) -> Episode:
     [
         "pca",
         *(
-            pytest.param(name, marks=pytest.mark.slow if name in ("direct", "e2c") else pytest.mark.nightly)
+            pytest.param(name, marks=pytest.mark.slow if name == "direct" else pytest.mark.nightly)
             for name in ("direct", "vae", "e2c", "straightening", "distance", "random", "shuffled")
         ),
     ],
@@ -220,7 +220,7 @@ def test_every_objective_makes_an_embedding(demos: Demos, tmp_path: Path, name: 
     assert load_embedding(tmp_path / "e").hash == embedding.hash
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_encoder_of_the_objective_random_is_not_trained(demos: Demos, tmp_path: Path) -> None:
     short, long = (
         fit_embedding(
@@ -268,7 +268,7 @@ def test_log_split_metrics_and_card_are_saved(embedding_folder: Path, demos: Dem
     assert "straightness" in (embedding_folder / "README.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_curves_are_written_for_tensorboard(demos: Demos, tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     config = replace(QUICK_FIT, steps=20)
@@ -310,7 +310,7 @@ def test_settings_out_of_range_are_refused_by_name() -> None:
             PRESETS["modern"].with_settings(**changes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_z_of_ten_dimensions(demos: Demos, tmp_path: Path) -> None:
     config = replace(QUICK_FIT, steps=20, z_dim=10)
     embedding = fit_embedding(demos, out=tmp_path / "e", config=config, num_seeds=1)

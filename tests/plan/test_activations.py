@@ -70,8 +70,13 @@ def test_a_plan_with_activations_replays_in_plain_mujoco(kind: str, tmp_path: Pa
     check_plans(demos, tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", list(ACTUATORS))
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.slow if kind == "filter" else pytest.mark.nightly)
+        for kind in ACTUATORS
+    ],
+)
 def test_plans_with_activations_are_stored_and_embedded(kind: str, tmp_path: Path) -> None:
     path = write_problem(tmp_path, kind)
     config = PlanConfig.for_problem(load_problem(path), restarts=1, polish_max_iterations=10)

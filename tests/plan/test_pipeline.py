@@ -21,15 +21,17 @@ SLOW = {
     "arm",
     "arm-kinematic",
     "quadrotor",
-    "hopper-stand",
     "pusher",
     "finger-spin",
-    "cheetah-ahead",
 }
 
 
+NIGHTLY = ("hopper-stand", "cheetah-ahead")
+
+
 def marked(name: str) -> Any:
-    return pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
+    tier = pytest.mark.nightly if name in NIGHTLY else pytest.mark.slow
+    return pytest.param(name, marks=tier) if name in (*SLOW, *NIGHTLY) else name
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in shipped_problems() if name != "acrobot"])
@@ -55,7 +57,7 @@ def test_the_acrobot_is_solved() -> None:
     assert not isinstance(Pipeline(problem, config).plan(0, 0), Failure)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_polish_makes_plans_shorter_and_restarts_never_longer() -> None:
     problem = load_problem("cartpole-swingup")
     lengths = {}

@@ -84,7 +84,12 @@ def dataset(demo_folder: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name", [name if name == "import" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+    "name",
+    [
+        "import",
+        pytest.param("plan", marks=pytest.mark.nightly),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("embed", "train")),
+    ],
 )
 def test_on_a_full_disk_nothing_is_lost(
     name: str, disk: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

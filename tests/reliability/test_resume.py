@@ -131,7 +131,7 @@ ARMS = [
     pytest.param("trpo", "paper", "none", marks=pytest.mark.slow),
     pytest.param("trpo", "modern", "augment", marks=pytest.mark.nightly),
     pytest.param("ppo", "paper", "augment", marks=pytest.mark.nightly),
-    pytest.param("ppo", "modern", "none", marks=pytest.mark.slow),
+    pytest.param("ppo", "modern", "none", marks=pytest.mark.nightly),
 ]
 
 

@@ -22,7 +22,7 @@ from planspace.tasks.task import Task, never
 
 ARMS = [
     ("trpo", "paper"),
-    pytest.param("trpo", "modern", marks=pytest.mark.slow),
+    pytest.param("trpo", "modern", marks=pytest.mark.nightly),
     pytest.param("ppo", "paper", marks=pytest.mark.slow),
     ("ppo", "modern"),
 ]

@@ -85,7 +85,7 @@ def test_a_cluster_gives_the_same_results_if_a_worker_is_killed(finished: Path, 
 
 
 @pytest.mark.ray
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_missing_token_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray")
     with ray_cluster(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN="a" * 64) as address:

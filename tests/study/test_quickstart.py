@@ -131,7 +131,7 @@ def test_a_problem_file_runs_like_a_shipped_task(
     assert "was trained on another version of the task 'crane'" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("tiny")
 def test_a_run_goes_on_without_plans_that_were_not_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -25,7 +25,7 @@ def jax_function(
         embedding: the embedding; its decoder is not used. Its weights are constants of the function.
 
     Returns:
-        The function. It maps states [*batch, state] to z [*batch, z]. It raises a `PlanspaceError` if the
+        The function. It maps states [..., state] to z [..., z]. It raises a `PlanspaceError` if the
         states have the wrong number of columns.
     """
     arrays = float32_encoder(embedding)

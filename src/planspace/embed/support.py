@@ -46,7 +46,7 @@ class Support:
         Raises:
             PlanspaceError: a number is not finite.
         """
-        return self.distance(inputs) > self.radius
+        return np.asarray(self.distance(inputs) > self.radius)
 
     def distance(self, inputs: Float[np.ndarray, "*batch input"]) -> Float[np.ndarray, "*batch"]:
         """Distance of each input from the nearest point, in standard deviations.

@@ -23,7 +23,7 @@ def torch_module(
             the states only.
 
     Returns:
-        The module. It maps states [*batch, state] to z [*batch, z]; `state_dim` and `z_dim` are its sizes.
+        The module. It maps states [..., state] to z [..., z]; `state_dim` and `z_dim` are its sizes.
 
     Raises:
         PlanspaceError: PyTorch is not installed.

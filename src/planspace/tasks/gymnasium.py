@@ -46,7 +46,7 @@ class GymTask:
     """A Gymnasium environment as a task."""
 
     id: str
-    """Its id, such as `Hopper-v5`; `module:Name-v0` imports the module first, as in Gymnasium."""
+    """Its id, such as `Hopper-v5`. If it has the form MODULE:NAME, Gymnasium imports the module first."""
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     """Arguments of its constructor, which `gymnasium.make` passes on."""
     max_episode_steps: int | None = None
