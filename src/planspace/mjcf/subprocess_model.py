@@ -5,15 +5,12 @@ files that compile within the limits.
 """
 
 import base64
-import json
-import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.source import ModelFile, ModelSource, as_source
+from planspace.storage.limited import ask, serve
 
 MEMORY_BYTES = 4 << 30
 CPU_S, WALL_S = 60, 120
@@ -57,60 +54,26 @@ def _decoded(found: dict[str, Any]) -> ModelSource:
 
 
 def _run_subprocess(request: dict[str, object], where: str) -> dict[str, Any]:
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "planspace.mjcf.subprocess_model"],
-            input=json.dumps({**request, "memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S}).encode(),
-            capture_output=True,
-            timeout=WALL_S,
-            check=False,
-        )
-        answer = json.loads(done.stdout)
-    except (subprocess.TimeoutExpired, ValueError):
-        raise PlanspaceError(
-            f"{where} does not compile within {CPU_S} s of CPU time and {MEMORY_BYTES >> 30} GiB of memory, "
-            "or crashes MuJoCo."
-        ) from None
-    if "error" in answer:
-        raise (UsageError if answer["usage"] else PlanspaceError)(answer["error"])
-    return answer["source"]
+    failure = (
+        f"{where} does not compile within {CPU_S} s of CPU time and {MEMORY_BYTES >> 30} GiB of memory, or "
+        "crashes MuJoCo."
+    )
+    limits = {"memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S, "wall_s": WALL_S}
+    return ask("planspace.mjcf.subprocess_model", request, **limits, failure=failure)["source"]
 
 
-def _main() -> None:
-    """Read one request from standard input and write one answer to standard output."""
-    import os
-
-    request = json.load(sys.stdin)
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what MuJoCo prints goes to standard error
-    limit_resources(request["memory_bytes"], request["cpu_s"])
+def _work(request: dict[str, Any]) -> dict[str, Any]:
+    """Read or compile the model of one request."""
     from planspace.mjcf.compile import load_model
     from planspace.mjcf.read import read_model
 
-    try:
-        if "file" in request:
-            paths = {key: request["file"][key] and Path(request["file"][key]) for key in ("path", "root")}
-            source = read_model(ModelFile(**request["file"] | paths))
-        else:
-            source = _decoded(request["source"])
-            load_model(source)
-        answer = {"source": _encoded(source)}
-    except PlanspaceError as error:
-        answer = {"error": str(error), "usage": isinstance(error, UsageError)}
-    json.dump(answer, out)
-    out.flush()
-
-
-def limit_resources(memory_bytes: int, cpu_s: int) -> None:
-    """Limit the memory and the CPU time of this process."""
-    try:
-        import resource
-    except ImportError:  # Windows: only the time limit applies
-        return
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if "file" in request:
+        paths = {key: request["file"][key] and Path(request["file"][key]) for key in ("path", "root")}
+        return {"source": _encoded(read_model(ModelFile(**request["file"] | paths)))}
+    source = _decoded(request["source"])
+    load_model(source)
+    return {"source": _encoded(source)}
 
 
 if __name__ == "__main__":
-    _main()
+    serve(_work)

@@ -210,6 +210,6 @@ def test_a_subprocess_says_what_is_wrong(tmp_path: Path) -> None:
 
 def test_a_reader_that_crashes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "a.hdf5")
-    monkeypatch.setattr("planspace.demos.formats.hdf5_subprocess.sys.executable", "/bin/false")
+    monkeypatch.setattr("planspace.storage.limited.sys.executable", "/bin/false")
     with pytest.raises(PlanspaceError, match="a.hdf5 cannot be read within 600 s .* or crashes the reader"):
         import_demos([str(tmp_path / "a.hdf5")], tmp_path / "out", None, ImportOptions(untrusted=True))

@@ -4,10 +4,7 @@ If HDF5's reader or MuJoCo crashes, hangs or runs out of memory, this process ra
 leaves a dataset folder, which is safe to read.
 """
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -19,8 +16,8 @@ from planspace.demos.folder import DemoFolder
 from planspace.demos.recording import Imported, ImportOptions, source_name
 from planspace.demos.state_info import StateInfo, parse_info
 from planspace.demos.stored import StoredDemos
-from planspace.errors import PlanspaceError, UsageError
-from planspace.mjcf.subprocess_model import MEMORY_BYTES, limit_resources
+from planspace.mjcf.subprocess_model import MEMORY_BYTES
+from planspace.storage.limited import ask, serve
 
 CPU_S, WALL_S = 600, 1200
 
@@ -45,7 +42,12 @@ def read_in_subprocess(sources: Sequence[str], info: StateInfo | None, options: 
             "options": asdict(replace(options, untrusted=False)),
             "out": staging.name,
         }
-        answer = _run_subprocess(request, source_name(sources))
+        failure = (
+            f"{source_name(sources)} cannot be read within {CPU_S} s of CPU time and "
+            f"{MEMORY_BYTES >> 30} GiB of memory, or crashes the reader of HDF5."
+        )
+        limits = {"memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S, "wall_s": WALL_S}
+        answer = ask("planspace.demos.formats.hdf5_subprocess", request, **limits, failure=failure)
         stored = StoredDemos(staging.name)
     except BaseException:
         staging.cleanup()
@@ -58,44 +60,15 @@ def _episodes(stored: StoredDemos, staging: tempfile.TemporaryDirectory) -> Iter
         yield from stored.episodes()
 
 
-def _run_subprocess(request: dict[str, object], where: str) -> dict[str, Any]:
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "planspace.demos.formats.hdf5_subprocess"],
-            input=json.dumps(request).encode(),
-            capture_output=True,
-            timeout=WALL_S,
-            check=False,
-        )
-        answer = json.loads(done.stdout)
-    except (subprocess.TimeoutExpired, ValueError):
-        raise PlanspaceError(
-            f"{where} cannot be read within {CPU_S} s of CPU time and {MEMORY_BYTES >> 30} GiB of memory, or "
-            "crashes the reader of HDF5."
-        ) from None
-    if "error" in answer:
-        raise (UsageError if answer["usage"] else PlanspaceError)(answer["error"])
-    return answer
-
-
-def _main() -> None:
-    """Read one request from standard input and write one answer to standard output."""
-    request = json.load(sys.stdin)
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print goes to standard error
-    limit_resources(MEMORY_BYTES, CPU_S)
+def _work(request: dict[str, Any]) -> dict[str, Any]:
+    """Read the files of one request into a dataset folder."""
     from planspace.demos.formats.hdf5 import read_hdf5
 
-    try:
-        info = parse_info(request["info"]) if request["info"] else None
-        imported = read_hdf5(request["sources"], info, ImportOptions(**request["options"]))
-        DemoFolder(Path(request["out"]), imported.info, {}).extend(imported.episodes)
-        answer = {"notices": imported.notices}
-    except PlanspaceError as error:
-        answer = {"error": str(error), "usage": isinstance(error, UsageError)}
-    json.dump(answer, out)
-    out.flush()
+    info = parse_info(request["info"]) if request["info"] else None
+    imported = read_hdf5(request["sources"], info, ImportOptions(**request["options"]))
+    DemoFolder(Path(request["out"]), imported.info, {}).extend(imported.episodes)
+    return {"notices": imported.notices}
 
 
 if __name__ == "__main__":
-    _main()
+    serve(_work)
