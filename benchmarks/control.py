@@ -12,8 +12,9 @@ results/control/costs.csv cell by cell. `--table` prints the table of docs/contr
 """
 
 import argparse
-import csv
 from pathlib import Path
+
+from csv_rows import read_rows, write_rows
 
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
@@ -37,7 +38,7 @@ PROBLEMS = {
 COSTS = {"z": "variational", "raw": "variational", "reward": "", "shuffled": "shuffled", "random": "random"}
 """Cost and the objective of the encoder that it needs."""
 HORIZONS = (0.16, 0.32, 0.64, 1.0, 1.5)
-COLUMNS: tuple[str, ...] = (
+COLUMNS = (
     "problem",
     "cost",
     "horizon_s",
@@ -62,7 +63,7 @@ def main() -> None:
     parser.add_argument("--no-regulator", action="store_true", help="without the regulator at the goal")
     parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
     options = parser.parse_args()
-    rows = list(csv.DictReader(RESULTS.open())) if RESULTS.exists() else []
+    rows = read_rows(RESULTS)
     if options.table:
         print(table(rows))
         return
@@ -77,7 +78,7 @@ def main() -> None:
                     continue
                 rows.append(cell | measure(options.folder, name, cost, horizon, regulator))
                 print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                save(rows)
+                write_rows(RESULTS, COLUMNS, rows)
 
 
 def measure(folder: Path, name: str, cost: str, horizon: float, regulator: bool) -> dict[str, str]:
@@ -105,15 +106,6 @@ def encoder_of(folder: Path, plant: Plant, objective: str) -> Embedding:
     problem = plant.problem
     demos = plan_demos(problem, NUM_PLANS, out=folder / f"{problem.name}-plans")
     return fit_embedding(demos, objective, out=folder / f"{problem.name}-{objective}")
-
-
-def save(rows: list[dict[str, str]]) -> None:
-    """Write all rows."""
-    RESULTS.parent.mkdir(exist_ok=True)
-    with RESULTS.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def table(rows: list[dict[str, str]]) -> str:

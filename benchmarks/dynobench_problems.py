@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from csv_rows import Row, read_rows, write_rows
 from dynobench import load_dynobench, problem_names
 
 from planspace.plan.config import PlanConfig
@@ -72,7 +73,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS, help="CPU seconds per problem and seed")
     parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file of the results")
     options = parser.parse_args()
-    rows = read(options.out)
+    rows = read_rows(options.out)
     if options.table:
         print("\n".join(table(rows)))
         return
@@ -84,7 +85,12 @@ def main() -> None:
             if options.only in name and (name, str(seed)) not in done:
                 rows.append(measure(options.folder, name, seed, options.seconds))
                 print(*rows[-1].values(), sep="  ", flush=True)
-                write(options.out, rows)
+                write_rows(options.out, COLUMNS, sorted(rows, key=problem_and_seed))
+
+
+def problem_and_seed(row: Row) -> tuple[str, int]:
+    """The order of the rows."""
+    return row["problem"], int(row["seed"])
 
 
 def measure(folder: Path, name: str, seed: int, seconds: float) -> dict[str, str]:
@@ -145,23 +151,6 @@ def cpu_name() -> str:
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
-
-
-def read(path: Path) -> list[dict[str, str]]:
-    """The rows that were measured before."""
-    if not path.exists():
-        return []
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
-def write(path: Path, rows: list[dict[str, str]]) -> None:
-    """Write all rows, sorted by problem and seed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(sorted(rows, key=lambda row: (row["problem"], int(row["seed"]))))
 
 
 def improvements_of(row: dict[str, str]) -> list[tuple[float, float, float]]:

@@ -13,7 +13,6 @@ has is not planned for again. `--table` prints the table of docs/planning.md.
 """
 
 import argparse
-import csv
 import time
 import warnings
 from pathlib import Path
@@ -22,6 +21,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import yaml
+from csv_rows import read_rows, write_rows
 from foreign_problems import PROBLEMS, Foreign
 
 from planspace.errors import PlanspaceError
@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=NUM_SEEDS, help="number of plans per problem")
     parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file of the results")
     options = parser.parse_args()
-    rows = list(csv.DictReader(options.out.open())) if options.out.exists() else []
+    rows = read_rows(options.out)
     if options.table:
         print(table(rows))
         return
@@ -66,10 +66,7 @@ def main() -> None:
             row = measure(name, problem, options.models, options.seeds)
             print(*(f"{row[column]}" for column in COLUMNS), sep="  ", flush=True)
             rows.append(row)
-            with options.out.open("w", newline="") as file:
-                writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
+            write_rows(options.out, COLUMNS, rows)
 
 
 def table(rows: list[dict[str, str]]) -> str:

@@ -330,7 +330,8 @@ def test_table_of_models_that_others_wrote() -> None:
 def test_table_of_dynobench() -> None:
     import dynobench_problems as script
 
-    rows, section = script.read(script.RESULTS), sections("docs/planning.md", 3)["Comparison with iDb-A*"]
+    rows = script.read_rows(script.RESULTS)
+    section = sections("docs/planning.md", 3)["Comparison with iDb-A*"]
     assert len(rows) >= 20 and [line for line in script.table(rows) if line not in section] == []
     found, text = script.summaries(rows).values(), section.replace("\n", " ")
     shorter, faster = (sum(getattr(x, key) for x in found) for key in ("shorter", "faster"))
