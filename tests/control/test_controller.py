@@ -135,7 +135,7 @@ def test_a_control_without_limits_is_refused(tmp_path: Path) -> None:
 
 def test_a_goal_far_from_the_demonstrations_is_reported(embedding: Embedding) -> None:
     problem = load_problem("cartpole-swingup")
-    assert support_note(Plant.find(problem), embedding) is None
+    assert support_note(Plant.find(problem), ControlConfig(), embedding) is None
     far = _with_goal(problem, (0.9, 0.0, 20.0, 30.0))
     with pytest.warns(UserWarning, match=r"outside the region .* standard deviations"):
         Controller(far, embedding, ControlConfig(samples=8))

@@ -92,7 +92,7 @@ class Control:
         check_least(self, episodes=1, workers=0, seed=0)
         plant = Plant.find(load_or_name(self.problem))
         embedding = None if self.embedding is None else load_embedding(self.embedding)
-        if embedding is not None and self.config.cost == "z" and (note := support_note(plant, embedding)):
+        if note := support_note(plant, self.config, embedding):
             print(note, file=sys.stderr)
         found = control_into(
             plant,

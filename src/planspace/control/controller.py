@@ -56,11 +56,7 @@ class Controller:
             )
         self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
         self._make_splines()
-        if (
-            embedding is not None
-            and self.config.cost == "z"
-            and (note := support_note(self.plant, embedding))
-        ):
+        if note := support_note(self.plant, self.config, embedding):
             warnings.warn(note, stacklevel=2)
         self.reset(seed)
 

@@ -9,6 +9,7 @@ from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
+from planspace.physics.simulator import control_bounds
 from planspace.tasks.problem import Goal
 
 Cost = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -58,10 +59,14 @@ def goal_distance(plant: Plant, goal: Goal, encode: Callable[[np.ndarray], np.nd
     return distance
 
 
-def support_note(plant: Plant, embedding: Embedding) -> str | None:
-    """Say how far a fixed goal lies outside the region that the demonstrations cover; None if it does not."""
-    support = embedding.support
-    if support is None or plant.task.target_size:
+def support_note(plant: Plant, config: ControlConfig, embedding: Embedding | None) -> str | None:
+    """Say how far a fixed goal lies outside the region that the demonstrations cover.
+
+    Returns:
+        One sentence; None if the goal lies inside, goals are drawn, or the cost is not a distance in z.
+    """
+    support = None if embedding is None else embedding.support
+    if embedding is None or support is None or config.cost != "z" or plant.task.target_size:
         return None
     columns = list(embedding.columns_of(plant.space.names))
     away = float(support.distance(embedding.inputs(plant.goal(np.empty(0)).center[columns])))
@@ -84,8 +89,8 @@ class DistanceCost:
         self.config = config
         self.distance = distance
         self._unit = float(distance(plant.starts).mean()) or 1.0
-        simulator = plant.simulator(1)
-        self._largest = np.maximum(np.abs(simulator.control_low), np.abs(simulator.control_high))
+        low, high = control_bounds(plant.model, plant.space)
+        self._largest = np.maximum(np.abs(low), np.abs(high))
 
     def __call__(
         self,

@@ -6,7 +6,6 @@ DIR/demos/         those that ended at the goal, until they arrived: demonstrati
 DIR/log.jsonl      one row an episode: return, success, wall times
 """
 
-import json
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -28,9 +27,8 @@ from planspace.embed.embedding import Embedding
 from planspace.progress import progress
 from planspace.seams import plain_settings
 from planspace.storage.checks import reject_malformed
-from planspace.storage.files import read_bytes
 from planspace.storage.provenance import Provenance
-from planspace.storage.rows import append_rows
+from planspace.storage.rows import append_rows, read_rows
 from planspace.storage.runs import lock_folder, open_run
 
 EPISODES, DEMOS, LOG = "episodes", "demos", "log.jsonl"
@@ -134,7 +132,7 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         PlanspaceError: the log is missing or damaged.
     """
     with reject_malformed(out / LOG):
-        rows = [json.loads(line) for line in read_bytes(out / LOG).splitlines()]
+        rows = read_rows(out / LOG)
         returns = [float(row["return"]) for row in rows]
         mean = {
             key: float(np.mean([row[key] for row in rows])) for key in ("success", "real_time", "regulated")

@@ -1,6 +1,5 @@
 """Planning many demonstrations: in memory, or in a dataset folder that an interrupted command continues."""
 
-import json
 import tempfile
 import time
 import warnings
@@ -31,9 +30,8 @@ from planspace.plan.workers import check_workers, plan_all
 from planspace.progress import progress, progress_shown
 from planspace.seams import name_of, plain_settings
 from planspace.storage.checks import reject_malformed
-from planspace.storage.files import read_bytes
 from planspace.storage.provenance import Provenance
-from planspace.storage.rows import append_rows
+from planspace.storage.rows import append_rows, read_rows
 from planspace.storage.runs import lock_folder
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
@@ -243,8 +241,7 @@ def _report_failures(folder: DemoFolder) -> str:
     if not missing:
         return ""
     with reject_malformed(folder.path / LOG):
-        rows = (json.loads(line) for line in read_bytes(folder.path / LOG).splitlines())
-        failures = [failure for row in rows for failure in row["failures"]]
+        failures = [failure for row in read_rows(folder.path / LOG) for failure in row["failures"]]
         near = [failure for failure in failures if failure["nearest"] is not None]
         closest = min(near, key=lambda failure: failure["nearest"], default=None)
         where = (

@@ -43,6 +43,16 @@ def append_rows(path: Path, rows: Sequence[Mapping[str, Any]], *, key: str) -> N
             sync_folder(path.parent)
 
 
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Read all rows of a log.
+
+    Raises:
+        PlanspaceError: `check_file` rejects the log.
+        ValueError: a line is not JSON; callers reject the file as malformed.
+    """
+    return [json.loads(line) for line in read_bytes(path).splitlines()]
+
+
 def is_row(line: bytes) -> bool:
     """Whether a line of a log is a JSON object."""
     try:
