@@ -246,4 +246,6 @@ def export_demos(demos: Demos, target: str) -> Path:
     fmt = find_format(target)
     if fmt is None or fmt.write is None:
         raise UsageError(f"cannot export to {target}; give {export_patterns()}.")
+    if demos.trees:
+        print(f"{target}: the search trees are not exported", file=sys.stderr)
     return fmt.write(demos, target)

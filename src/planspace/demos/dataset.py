@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from planspace.demos.episode import Episode, join_episodes
+from planspace.demos.episode import Episode, join_episodes, trees_of
 from planspace.demos.folder import DemoFolder
 from planspace.demos.manifest import DatasetSettings
+from planspace.demos.search_tree import SearchTree, join_trees
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import json_hash
@@ -47,6 +48,8 @@ class Demos:
     """Successful attempt of each episode; see `Episode`."""
     costs: Float[np.ndarray, " demo"]
     """Planning cost of each episode [s]; NaN if unknown."""
+    trees: tuple[SearchTree, ...] = ()
+    """Search tree of each episode, if they were kept; otherwise empty."""
 
     def __len__(self) -> int:
         """Number of demonstrations."""
@@ -65,11 +68,13 @@ class Demos:
             names = [*names[:MAX_NAMES], f"... ({len(info.names)} in all)"]
         median = np.median(durations)
         title = f"Demos: {len(self)} demonstrations" + (f" of {info.problem}" if info.problem else "")
+        trees = {"search trees": f"{sum(map(len, self.trees))} nodes"} if self.trees else {}
         return title, {
             "states": f"{len(self.states)}, each ({', '.join(names)})",
             "controls": f"{info.num_controls} per step",
             "durations": f"{durations.min():.3g} to {durations.max():.3g} s (median {median:.3g} s)",
             "at the goal": f"{int(self.success.sum())} of {len(self)}",
+            **trees,
         }
 
     @classmethod
@@ -84,7 +89,7 @@ class Demos:
             PlanspaceError: there are no episodes, sizes differ, or a number is not finite (the message names
                 the row).
         """
-        return cls(info=info, **join_episodes(info, episodes))
+        return cls(info=info, **join_episodes(info, episodes), trees=trees_of(episodes))
 
     def save(self, folder: str | Path) -> None:
         """Save as a dataset folder, which `load_demos` reads.
@@ -114,6 +119,7 @@ class Demos:
             index=int(self.indices[i]),
             seed=int(self.seeds[i]),
             cost=float(self.costs[i]),
+            tree=self.trees[i] if self.trees else None,
         )
 
     def select(self, names: Sequence[str]) -> "Demos":
@@ -138,7 +144,13 @@ class Demos:
             )
         columns = [self.info.names.index(name) for name in names]
         info = self.info.choose(tuple(names), columns)
-        return replace(self, info=info, states=self.states[:, columns], goals=self.goals[:, columns])
+        return replace(
+            self,
+            info=info,
+            states=self.states[:, columns],
+            goals=self.goals[:, columns],
+            trees=tuple(tree.select(columns) for tree in self.trees),
+        )
 
     def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:
         """Row numbers of some demonstrations, in order."""
@@ -147,7 +159,7 @@ class Demos:
     @property
     def hash(self) -> str:
         """SHA-256 of the content. It does not depend on how a stored dataset is divided into shards."""
-        return content_hash(self.info, lambda name: [getattr(self, name)])
+        return content_hash(self.info, lambda name: [getattr(self, name)], self.trees)
 
     def split(self, seed: int) -> dict[str, np.ndarray]:
         """Split into `train`, `validation` and `test`; see `planspace.demos.dataset.split`."""
@@ -178,15 +190,21 @@ def split(count: int, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
     return {name: np.sort(part) for name, part in zip(names, parts, strict=True)}
 
 
-def content_hash(info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]]) -> str:
+def content_hash(
+    info: StateInfo, parts: Callable[[str], Iterable[np.ndarray]], trees: Iterable[SearchTree] = ()
+) -> str:
     """SHA-256 of demonstrations.
 
     Args:
         info: the meaning of the states.
         parts: returns an array, given its name, as consecutive parts of any length.
+        trees: the search trees, if there are any.
     """
     digest = hashlib.sha256(json_hash(info.plain()).encode())
     for name in ("states", "controls", "times", "offsets", "goals"):
         for part in parts(name):
             digest.update(np.ascontiguousarray(part, dtype=int if name == "offsets" else float).data)
+    for tree in trees:
+        for array in join_trees([tree]).values():
+            digest.update(np.ascontiguousarray(array, dtype=float).data)
     return digest.hexdigest()

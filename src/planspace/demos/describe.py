@@ -30,7 +30,14 @@ class Spread(TypedDict):
     max: float
 
 
-class Description(TypedDict):
+class SearchTrees(TypedDict):
+    """The search trees of a dataset, if they were kept."""
+
+    search_trees: NotRequired[dict[str, int]]
+    """Number of trees and of their nodes."""
+
+
+class Description(SearchTrees):
     """The content of a dataset."""
 
     demonstrations: int
@@ -87,6 +94,7 @@ def describe(folder: Path) -> Description:
         "made_by": _origin(demos, folder),
         "states_per_demonstration": _spread(lengths),
         "duration_s": _spread(durations),
+        **_trees(demos),
         "hash": demos.hash,
     }
 
@@ -192,6 +200,11 @@ def _origin(demos: Demos | StoredDemos, folder: Path) -> DatasetSettings:
     if "imported" in settings:
         origin["imported"] = settings["imported"]
     return origin
+
+
+def _trees(demos: Demos | StoredDemos) -> SearchTrees:
+    nodes = demos.num_nodes if isinstance(demos, StoredDemos) else 0
+    return {"search_trees": {"trees": len(demos), "nodes": nodes}} if nodes else {}
 
 
 def _spread(x: np.ndarray) -> Spread:

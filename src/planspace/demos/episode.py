@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from planspace.demos.search_tree import SearchTree
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays
@@ -35,6 +36,8 @@ class Episode:
     """The attempt that produced it: failed attempts are repeated with the next seed."""
     cost: float = math.nan
     """The cost that the planner minimised [s]; NaN if unknown."""
+    tree: SearchTree | None = None
+    """The tree of the search that found it, if it was kept. Node 0 is the first state."""
 
 
 def join_episodes(info: StateInfo, episodes: Sequence[Episode]) -> Arrays:
@@ -66,6 +69,12 @@ def join_episodes(info: StateInfo, episodes: Sequence[Episode]) -> Arrays:
         "seeds": np.array([e.seed for e in episodes]),
         "costs": np.array([e.cost for e in episodes], dtype=float),
     }
+
+
+def trees_of(episodes: Sequence[Episode]) -> tuple[SearchTree, ...]:
+    """The search trees of episodes; empty if one of them has none."""
+    trees = tuple(episode.tree for episode in episodes if episode.tree is not None)
+    return trees if len(trees) == len(episodes) else ()
 
 
 def check_episode(info: StateInfo, episode: Episode) -> None:

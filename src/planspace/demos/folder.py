@@ -3,6 +3,7 @@
 DIR/manifest.json              what the states mean, the model, and each shard with its SHA-256
 DIR/model/...                  the files of a model that has more than one
 DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
+DIR/trees/shard-00000.safetensors    their search trees, if they were kept
 DIR/log.jsonl                  dates and wall times; not part of any hash
 """
 
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from planspace.demos.episode import Episode, join_episodes
+from planspace.demos.episode import Episode, join_episodes, trees_of
 from planspace.demos.manifest import (
     MANIFEST,
     SHARD_NAME,
@@ -22,6 +23,7 @@ from planspace.demos.manifest import (
 )
 from planspace.demos.shards import read_shard, shard_name, write_shard
 from planspace.demos.state_info import MODEL_FOLDER, StateInfo
+from planspace.demos.tree_shards import FOLDER, read_trees, write_trees
 from planspace.errors import PlanspaceError
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import make_folder
@@ -85,11 +87,18 @@ class DemoFolder:
             episodes: the demonstrations; may be empty if all attempts since the last call failed.
             next_index: the first demonstration that has not been attempted yet.
         """
-        shards = self._manifest.shards
+        shards, tree_shards = self._manifest.shards, self._manifest.trees
         if episodes:
             arrays = join_episodes(self._manifest.info, episodes)
+            trees = trees_of(episodes) if len(tree_shards) == len(shards) else ()
+            if tree_shards and not trees:
+                raise PlanspaceError(
+                    f"{self.path} has search trees, so demonstrations without a tree cannot be added to it."
+                )
+            if trees:
+                tree_shards = (*tree_shards, write_trees(self.path, len(shards), trees))
             shards = (*shards, write_shard(self.path, len(shards), arrays))
-        self._manifest = replace(self._manifest, next_index=next_index, shards=shards)
+        self._manifest = replace(self._manifest, next_index=next_index, shards=shards, trees=tree_shards)
         write_manifest(self.path, self._manifest)
 
     def extend(self, episodes: Iterable[Episode]) -> None:
@@ -124,11 +133,16 @@ def remove_damaged_shards(folder: Path) -> list[tuple[Path, str]]:
     next_index = 0
     for number, shard in enumerate(manifest.shards):
         name = shard.file if SHARD_NAME.fullmatch(shard.file) else shard_name(number)
+        file = folder / name
         try:
             with reject_malformed(folder / MANIFEST):
-                next_index = int(read_shard(folder, shard, manifest.info)["indices"][-1]) + 1
+                last = int(read_shard(folder, shard, manifest.info)["indices"][-1])
+                if manifest.trees:
+                    file = folder / FOLDER / shard_name(number)
+                    read_trees(folder, manifest.trees[number], manifest.info)
+                next_index = last + 1
         except PlanspaceError as error:
-            intact = replace(manifest, next_index=next_index, shards=manifest.shards[:number])
-            write_manifest(folder, intact)
-            return [(folder / name, str(error))]
+            kept = {"shards": manifest.shards[:number], "trees": manifest.trees[:number]}
+            write_manifest(folder, replace(manifest, next_index=next_index, **kept))
+            return [(file, str(error))]
     return []

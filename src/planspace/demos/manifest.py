@@ -54,6 +54,20 @@ class Shard:
 
 
 @dataclass(frozen=True)
+class TreeShard:
+    """The entry of one shard of search trees."""
+
+    file: str
+    """Name of the file in the folder `trees`."""
+    sha256: str
+    """SHA-256 of the file."""
+    trees: int
+    """Number of trees."""
+    nodes: int
+    """Number of nodes of all trees."""
+
+
+@dataclass(frozen=True)
 class Manifest:
     """The content of a manifest."""
 
@@ -65,6 +79,8 @@ class Manifest:
     """The first demonstration that has not been attempted yet."""
     shards: tuple[Shard, ...] = ()
     """All shards, in order."""
+    trees: tuple[TreeShard, ...] = ()
+    """The shards of search trees: one for each of `shards`, or none."""
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -89,9 +105,14 @@ def read_manifest(folder: Path) -> Manifest:
             raise TypeError("settings or next_index has the wrong type")
         if not isinstance(shards, list) or next_index < 0:
             raise ValueError("shards is not a list, or next_index is negative")
-        manifest = Manifest(info, settings, next_index, tuple(map(_shard, shards)))
+        if not isinstance(tree_shards := found.get("trees", []), list):
+            raise TypeError("trees is not a list")
+        trees = tuple(map(_tree_shard, tree_shards))
+        manifest = Manifest(info, settings, next_index, tuple(map(_shard, shards)), trees)
         if len({shard.file for shard in manifest.shards}) < len(shards):
             raise ValueError("it lists a shard twice")
+        if trees and [tree.trees for tree in trees] != [shard.episodes for shard in manifest.shards]:
+            raise ValueError("its search trees are not those of its demonstrations")
     return manifest
 
 
@@ -106,6 +127,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
             "settings": manifest.settings,
             "next_index": manifest.next_index,
             "shards": [asdict(shard) for shard in manifest.shards],
+            **({"trees": [asdict(shard) for shard in manifest.trees]} if manifest.trees else {}),
         },
     )
 
@@ -115,3 +137,10 @@ def _shard(entry: Mapping[str, Any]) -> Shard:
     if type(episodes) is not int or type(states) is not int or not 0 < episodes <= states < MAX_STATES:
         raise ValueError(f"a shard cannot have {episodes} demonstrations and {states} states")
     return Shard(str(entry["file"]), str(entry["sha256"]), episodes, states)
+
+
+def _tree_shard(entry: Mapping[str, Any]) -> TreeShard:
+    trees, nodes = entry["trees"], entry["nodes"]
+    if type(trees) is not int or type(nodes) is not int or not 0 < trees <= nodes < MAX_STATES:
+        raise ValueError(f"a shard cannot have {trees} search trees and {nodes} nodes")
+    return TreeShard(str(entry["file"]), str(entry["sha256"]), trees, nodes)

@@ -10,7 +10,9 @@ from jaxtyping import Float, Int
 from planspace.demos.dataset import Demos, content_hash, split
 from planspace.demos.episode import Episode
 from planspace.demos.manifest import MANIFEST, Shard, read_manifest
+from planspace.demos.search_tree import SearchTree
 from planspace.demos.shards import ARRAYS, read_shard, shard_file
+from planspace.demos.tree_shards import FOLDER, read_trees
 from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays, read_array
 from planspace.storage.checks import explain_memory_error, reject_malformed
@@ -32,6 +34,7 @@ class StoredDemos:
         self.path, self._verified = Path(path), False
         manifest = read_manifest(self.path)
         self.info, self.settings, self._shards = manifest.info, manifest.settings, manifest.shards
+        self._tree_shards = manifest.trees
         if not self._shards:
             raise PlanspaceError(f"{path} has no demonstrations.")
 
@@ -48,8 +51,9 @@ class StoredDemos:
         Raises:
             PlanspaceError: a shard is missing or was altered; the message names it.
         """
-        for shard in self._shards:
-            yield Demos(info=self.info, **self._read(shard))
+        for number, shard in enumerate(self._shards):
+            arrays = self._read(shard)
+            yield Demos(info=self.info, **arrays, trees=self._trees(number, arrays))
         self._verified = True
 
     def episodes(self) -> Iterator[Episode]:
@@ -65,10 +69,16 @@ class StoredDemos:
         """
         with explain_memory_error(self.path):
             parts = [self._read(shard) for shard in self._shards]
+            trees = [tree for number, part in enumerate(parts) for tree in self._trees(number, part)]
             offsets = _join_offsets([part.pop("offsets") for part in parts])
             names = [name for name in ARRAYS if name != "offsets"]
             whole = {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
-            return Demos(info=self.info, offsets=offsets, **whole)
+            return Demos(info=self.info, offsets=offsets, **whole, trees=tuple(trees))
+
+    @property
+    def num_nodes(self) -> int:
+        """Number of nodes of all search trees; 0 if there are none."""
+        return sum(shard.nodes for shard in self._tree_shards)
 
     @cached_property
     def offsets(self) -> Int[np.ndarray, " bound"]:
@@ -80,7 +90,10 @@ class StoredDemos:
     def hash(self) -> str:
         """SHA-256 of the content, equal to `load().hash`; raises the errors of `shards()`."""
         self._verify()
-        return content_hash(self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name))
+        trees = (tree for shard in self._tree_shards for tree in read_trees(self.path, shard, self.info))
+        return content_hash(
+            self.info, lambda name: [self.offsets] if name == "offsets" else self._each(name), trees
+        )
 
     def split(self, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
         """Split into `train`, `validation` and `test`; see `planspace.demos.dataset.split`."""
@@ -116,6 +129,18 @@ class StoredDemos:
     def _read(self, shard: Shard) -> Arrays:
         with reject_malformed(self.path / MANIFEST):
             return read_shard(self.path, shard, self.info)
+
+    def _trees(self, number: int, arrays: Arrays) -> tuple[SearchTree, ...]:
+        """The search trees of a shard, given its other arrays."""
+        if not self._tree_shards:
+            return ()
+        shard = self._tree_shards[number]
+        trees = read_trees(self.path, shard, self.info)
+        starts = arrays["states"][arrays["offsets"][:-1]]
+        with reject_malformed(self.path / FOLDER / shard.file):
+            if not np.array_equal(np.stack([tree.states[0] for tree in trees]), starts):
+                raise ValueError("a search tree does not start where its demonstration starts")
+        return trees
 
     def _verify(self) -> None:
         if not self._verified:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from planspace.tasks.problem import Problem
 
 LARGEST_SETTING = 1e12
+OWN_SETTINGS = ("restarts", "keep_trees", "tree_nodes")
+"""The settings of `PlanConfig` itself, apart from the planner."""
 
 
 @dataclass(frozen=True)
@@ -104,13 +106,20 @@ class PlanConfig:
     """Shortens a plan and lands it on its goal."""
     regulator: RegulatorConfig = field(default_factory=RegulatorConfig)
     """Takes over near the goal and holds it."""
+    keep_trees: bool = False
+    """Store the tree of the search that found each plan, too: states that the planner reached, and how long
+    it took to reach each from its parent."""
+    tree_nodes: Annotated[int, arg(metavar="N")] = 5000
+    """Largest number of nodes of a stored tree. Of a larger tree, random nodes and their ancestors are
+    stored."""
 
     def __post_init__(self) -> None:
-        """Check the planner and the restarts.
+        """Check the planner, the restarts and the number of nodes.
 
         Raises:
-            UsageError: the object is no `Planner`, or there are fewer than 1 restarts.
+            UsageError: the object is no `Planner`, or a number is below 1.
         """
+        check_setting("tree_nodes", self.tree_nodes, self.tree_nodes >= 1, "at least 1")
         check_fits(self.planner, Planner, PAGE)
         check_setting("restarts", self.restarts, self.restarts is None or self.restarts >= 1, "at least 1")
 
@@ -126,8 +135,9 @@ class PlanConfig:
         Args:
             problem: its `settings` name fields of the planners and of the parts of this class:
                 `polish_FIELD`, `regulator_FIELD`, `ompl_FIELD`, and `sst_FIELD` or `FIELD` for `sst`.
-            changes: settings with the same names, `restarts`, and `planner`, which is a name or an object. A
-                planner that is not shipped takes its own fields as `FIELD`. None leaves the default.
+            changes: settings with the same names, those in `OWN_SETTINGS`, and `planner`, which is a name or
+                an object. A planner that is not shipped takes its own fields as `FIELD`. None leaves the
+                default.
 
         Raises:
             UsageError: a setting that does not exist, or a value out of range.
@@ -172,15 +182,19 @@ class _Settings:
     def configured(self, given: dict[str, Any]) -> PlanConfig:
         """The config with the settings given."""
         changed: dict[str, dict[str, Any]] = {part: {} for part in self.parts}
-        restarts = int(_like(1, "restarts", given["restarts"])) if "restarts" in given else None
+        own: dict[str, Any] = {}
         for key, value in given.items():
-            if key != "restarts":
+            if key == "keep_trees":
+                own[key] = bool(value)
+            elif key in OWN_SETTINGS:
+                own[key] = int(_like(1, key, value))
+            else:
                 part, name = self._place(key)
                 changed[part][name] = _like(getattr(self.parts[part], name), key, value)
         try:
             parts = {key: replace(part, **changed[key]) for key, part in self.parts.items() if changed[key]}
             parts = self.parts | parts
-            return PlanConfig(parts[self.group], restarts, parts["polish"], parts["regulator"])
+            return PlanConfig(parts[self.group], polish=parts["polish"], regulator=parts["regulator"], **own)
         except (UsageError, ValueError) as error:
             raise UsageError(f"settings: {error}") from error
 
@@ -191,7 +205,7 @@ class _Settings:
             return known[key]
         if (default := f"{SST.name}_{key}") in known:
             return known[default]
-        raise unknown("setting", key, ["planner", "restarts", *known])
+        raise unknown("setting", key, ["planner", *OWN_SETTINGS, *known])
 
     def _names(self) -> Iterator[tuple[str, tuple[str, str]]]:
         for part, settings in self.parts.items():

@@ -39,6 +39,7 @@ from planspace.tasks.problem_file import load_problem
 SHARD_EPISODES = 10
 """Plans per shard. A kill loses those since the last shard, Ctrl-C those after the first unfinished plan."""
 LOG = "log.jsonl"
+TREE_SETTINGS = ("keep_trees", "tree_nodes")
 
 
 def plan_demos(  # noqa: PLR0913
@@ -142,11 +143,14 @@ def state_info(problem: Problem) -> StateInfo:
 
 def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSettings:
     """What decides the content of a dataset, as the manifest records it."""
+    plain = plain_settings(replace(config, restarts=config.num_searches))
+    if not config.keep_trees:  # then the manifest is what versions without search trees wrote
+        plain = {name: value for name, value in plain.items() if name not in TREE_SETTINGS}
     return {
         "problem": problem.hash,
         "seed": seed,
         "planner": name_of(config.planner),
-        "config": plain_settings(replace(config, restarts=config.num_searches)),
+        "config": plain,
         "versions": Provenance.current("mujoco").plain(),
     }
 
@@ -175,6 +179,7 @@ def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSett
         for part, saved in parts.items()
     }
     current["restarts"] = config.get("restarts") if group == SST.name or group not in config else 1
+    current |= {name: config[name] for name in TREE_SETTINGS if name in config}
     return settings | DatasetSettings(config=current)
 
 

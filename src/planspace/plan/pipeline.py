@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.demos.episode import Episode
+from planspace.demos.search_tree import SearchTree
+from planspace.errors import UsageError
 from planspace.physics.angles import unwrap_to_end
 from planspace.physics.replay import advance
 from planspace.physics.simulator import Simulator
@@ -16,13 +18,14 @@ from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig
 from planspace.plan.durations import num_steps
 from planspace.plan.linearise import at_rest
-from planspace.plan.planner import Failure, Plan, search
+from planspace.plan.planner import PAGE, Failure, Plan, search
 from planspace.plan.polish import Polish
 from planspace.plan.proof import replay_plan
 from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
 from planspace.plan.shortcut import Shortcut, has_contacts
 from planspace.plan.trajectory import Trajectory
+from planspace.seams import name_of
 from planspace.tasks.problem import Goal, Problem
 
 MAX_ATTEMPTS = 3
@@ -35,6 +38,8 @@ LANDINGS = (1.0, 0.5, 0.2)
 """A polished plan whose goal cannot be held is polished again, towards these fractions of the tolerance."""
 SAME_STATES = 1e-9
 """Largest difference between two simulations of a plan that differ only in turns of an angle [any unit]."""
+TREE_STREAM = 1
+"""Number of the random stream that chooses the nodes of a tree, apart from those that plan."""
 DEEPER_S = 0.2
 """Time added to a plan before it is polished again [s]."""
 
@@ -69,7 +74,8 @@ class Pipeline:
             if isinstance(found, Trajectory):
                 found = self._stored(found, goal)
             if isinstance(found, Trajectory):
-                return self._episode(found, goal, index, attempt)
+                episode = self._episode(found, goal, index, attempt)
+                return self._with_tree(episode, found.tree, seed) if self.config.keep_trees else episode
             nearest, reason = min(nearest, found.nearest), found.reason
         return Failure(reason, nearest)
 
@@ -86,11 +92,12 @@ class Pipeline:
         query = self.query(start, goal)
         best, nearest, reason = None, np.inf, ""
         for _ in range(self.config.num_searches):
-            plan = self._prove(query, search(self.config.planner, query, rng), rng)
+            found = search(self.config.planner, query, rng)
+            plan = self._prove(query, found, rng)
             if isinstance(plan, Failure):
                 nearest, reason = min(nearest, plan.nearest), plan.reason
             elif best is None or self._cost(plan) < self._cost(best):
-                best = plan
+                best = plan._replace(tree=found.tree)
         return best if best is not None else Failure(reason, nearest)
 
     def query(self, start: Float[np.ndarray, " state"], goal: Goal) -> Query:
@@ -157,8 +164,8 @@ class Pipeline:
         again = replay_plan(self.query(states[0], goal), plan.controls)
         if isinstance(again, Trajectory) and len(again.states) == len(states):
             close = np.abs(again.states - states).max() < SAME_STATES
-            return Trajectory(states if close else again.states, plan.controls)
-        return again
+            return Trajectory(states if close else again.states, plan.controls, plan.tree)
+        return again if isinstance(again, Failure) else again._replace(tree=plan.tree)
 
     def _episode(self, plan: Trajectory, goal: Goal, index: int, attempt: int) -> Episode:
         times = np.arange(len(plan.states)) * self.model.opt.timestep
@@ -172,6 +179,18 @@ class Pipeline:
             seed=attempt,
             cost=self._cost(plan),
         )
+
+    def _with_tree(self, episode: Episode, tree: SearchTree | None, seed: int) -> Episode:
+        """The episode with its search tree, which starts at the stored start and has a bounded size."""
+        if tree is None:
+            raise UsageError(
+                f"Planner {name_of(self.config.planner)} returned no search tree; plan without keep_trees. "
+                f"See {PAGE}."
+            )
+        own = np.random.default_rng(np.random.SeedSequence([seed, episode.index, episode.seed, TREE_STREAM]))
+        thinned = tree.thin(self.config.tree_nodes, own)
+        states = _same_windings(self.space, thinned.states, episode.states[0])
+        return replace(episode, tree=replace(thinned, states=states))
 
     def _cost(self, plan: Trajectory) -> float:
         return float(self.problem.step_cost(self.simulator, plan.controls).sum())
@@ -189,6 +208,18 @@ def _regulated_steps(query: Query, controls: np.ndarray) -> np.ndarray:
         more.append(query.regulator.control(state))
         state = advance(query.model, data, query.space, more[-1], stride)
     return np.repeat(np.stack(more), stride, axis=0)
+
+
+def _same_windings(space: StateSpace, states: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """The states of a tree with the windings and signs with which its start is stored."""
+    states = states.copy()
+    for column in space.circular_columns:
+        states[:, column] += start[column] - states[0, column]
+    for column in space.quaternion_columns:
+        if states[0, column : column + 4] @ start[column : column + 4] < 0:
+            states[:, column : column + 4] *= -1.0
+    states[0] = start
+    return states
 
 
 def _continuous(space: StateSpace, states: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from planspace.demos.search_tree import SearchTree, as_tree
 from planspace.errors import UsageError, quoted
 from planspace.seams import check_fits, name_of
 
@@ -25,6 +26,8 @@ class Plan:
 
     controls: Float[np.ndarray, "step control"]
     """One control per physics step, from the start to the goal region."""
+    tree: SearchTree | None = None
+    """What the search reached, from `query.start`; needed for `--keep-trees`."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Failure:
     """Smallest distance to the goal of any state that was reached, in the goal's measure."""
     controls: Float[np.ndarray, "step control"] | None = None
     """The most promising path, if there is one. Polishing may extend it to the goal."""
+    tree: SearchTree | None = None
+    """What the search reached, as in `Plan`."""
 
 
 @runtime_checkable
@@ -111,10 +116,12 @@ def search(planner: Planner, query: "Query", rng: np.random.Generator) -> Plan |
         UsageError: the planner returned something that does not fit the protocol `Planner`.
     """
     found = planner.plan(query, rng)
+    if not isinstance(found, Plan | Failure):
+        raise _misfit(planner, "must return a Plan or a Failure", quoted(found))
+    if found.tree is not None:
+        found = replace(found, tree=_checked_tree(planner, found.tree, query))
     if isinstance(found, Plan):
         return replace(found, controls=_checked_controls(planner, found.controls, query))
-    if not isinstance(found, Failure):
-        raise _misfit(planner, "must return a Plan or a Failure", quoted(found))
     try:
         nearest = float(found.nearest)
     except (TypeError, ValueError):
@@ -151,6 +158,16 @@ def _checked_controls(planner: Planner, given: Any, query: "Query") -> Float[np.
             f"{controls[step, number]:.6g} in step {step}, number {number}",
         )
     return controls
+
+
+def _checked_tree(planner: Planner, given: Any, query: "Query") -> SearchTree:
+    try:
+        tree = as_tree(given, len(query.start))
+    except ValueError as error:
+        raise UsageError(f"Planner {name_of(planner)}: {error}. See {PAGE}.") from None
+    if not np.array_equal(tree.states[0], query.start):
+        raise _misfit(planner, "must return a tree whose node 0 is query.start", quoted(tree.states[0]))
+    return tree
 
 
 def _misfit(planner: Planner, wanted: str, got: str) -> UsageError:

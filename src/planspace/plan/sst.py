@@ -93,6 +93,6 @@ class SST:
 
         found = SSTSearch(self, query, rng).solve()
         if found.arrived:
-            return Plan(found.controls)
+            return Plan(found.controls, found.tree)
         reason = f"no path found within the budget: {found.explanation}"
-        return Failure(reason, found.nearest, found.controls)
+        return Failure(reason, found.nearest, found.controls, found.tree)

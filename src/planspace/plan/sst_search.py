@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from planspace.demos.search_tree import SearchTree
 from planspace.physics.simulator import Simulator
 from planspace.plan.diagnosis import explain_failure
 from planspace.plan.durations import num_steps
@@ -55,6 +56,8 @@ class SearchResult:
     """Number of nodes in the tree."""
     simulated_steps: int
     """Physics steps taken to extend the tree and by the regulator."""
+    tree: SearchTree
+    """The nodes from which the search would have gone on, and their ancestors."""
     explanation: str = ""
     """What the search saw, if it found no path."""
 
@@ -114,7 +117,14 @@ class SSTSearch:
         steps += finish.simulated_steps
         explanation = "" if finish.arrived else self._explain(tree, radius)
         return SearchResult(
-            finish.controls(), finish.arrived, finish.cost, nearest, len(tree.costs), steps, explanation
+            controls=finish.controls(),
+            arrived=finish.arrived,
+            cost=finish.cost,
+            nearest=nearest,
+            nodes=len(tree.costs),
+            simulated_steps=steps,
+            tree=tree.search_tree(),
+            explanation=explanation,
         )
 
     def _select(self, tree: Tree, radius: float) -> np.ndarray:

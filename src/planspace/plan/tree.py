@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from planspace.demos.search_tree import SearchTree
 from planspace.physics.simulator import Simulator
 from planspace.plan.features import Features
 from planspace.tasks.problem import Problem
@@ -61,6 +62,11 @@ class Tree:
     def representatives(self) -> np.ndarray:
         """The node of each witness cell from which the tree grows."""
         return self._winner
+
+    def search_tree(self) -> SearchTree:
+        """The representatives and their ancestors, with durations in seconds."""
+        durations = self.durations * self.simulator.model.opt.timestep
+        return SearchTree(self.states, self.parents, durations).keep(self.representatives())
 
     def add(
         self, parents: np.ndarray, controls: np.ndarray, durations: np.ndarray, states: np.ndarray
