@@ -7,7 +7,7 @@ import pytest
 
 from planspace.demos.dataset import Demos
 from planspace.demos.recording import recorded
-from planspace.demos.render import FilmConfig, render_demos
+from planspace.demos.render import FilmConfig, render_demos, render_side_by_side
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.source import ModelSource
@@ -74,6 +74,20 @@ def test_frames_are_upright(opengl: str, tmp_path: Path) -> None:
     orange = np.nonzero(picture[..., 0] - picture[..., 2] > 60)[0]
     blue = np.nonzero(picture[..., 2] - picture[..., 0] > 40)[0]
     assert orange.mean() < blue.mean()  # rows are counted from the top: the pole is above the cart
+
+
+def test_side_by_side_the_shorter_one_waits_at_its_end(opengl: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    carts = moving_cart()
+    back = Demos.from_episodes(carts.info, [carts.episode(1)])
+    render_side_by_side({"": carts, " ": back}, tmp_path / "film.gif", replace(SMALL, episodes=1))
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.size == (128, 48) and film.n_frames >= 3
+        film.seek(film.n_frames - 1)
+        picture = np.asarray(film.convert("RGB"))
+    left, right = blue_column(picture[:, :64]), blue_column(picture[:, 64:])
+    assert left > 0.65 and right < 0.35  # the one on the left ends at the right, the other at the left
 
 
 def test_an_mp4(opengl: str, tmp_path: Path) -> None:

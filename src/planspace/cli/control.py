@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -23,6 +23,9 @@ from planspace.control.methods import METHODS
 from planspace.errors import UsageError, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.tasks.catalog import TASKS
+
+if TYPE_CHECKING:
+    from planspace.control.runs import ControlSummary
 
 NAMES = sorted({*TASKS, *(path.stem for path in ASSETS.glob("*.yaml"))})
 HELP = f"One of {', '.join(NAMES)}; or the path of your own problem file. A name of both means the task."
@@ -58,6 +61,8 @@ class Control:
     not depend on this number."""
     method: Annotated[str, arg(metavar="{" + ",".join(METHODS) + "}|module.py:NAME")] = "mppi"
     """How samples become controls, or module.py:NAME for your own. Its settings are options, too."""
+    plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """A dataset of plans to show beside the episodes in the film and in the report."""
     no_film: bool = False
     """Do not film the episodes."""
     json: bool = False
@@ -83,7 +88,9 @@ class Control:
         from planspace.control.costs import support_note
         from planspace.control.plant import Plant
         from planspace.control.runs import control_into
+        from planspace.demos.load import load_demos
         from planspace.embed.saved_embedding import load_embedding
+        from planspace.study.control_report import write_control_report
 
         if not self.problem:
             raise UsageError(f"which problem? {HELP}")
@@ -92,6 +99,7 @@ class Control:
         check_least(self, episodes=1, workers=0, seed=0)
         plant = Plant.find(load_or_name(self.problem))
         embedding = None if self.embedding is None else load_embedding(self.embedding)
+        plans = None if self.plans is None else load_demos(self.plans)
         if note := support_note(plant, self.config, embedding):
             print(note, file=sys.stderr)
         found = control_into(
@@ -104,7 +112,12 @@ class Control:
             episode_s=self.episode_s,
             workers=self.workers or None,
         )
-        film = None if self.no_film else self._film(self.out)
+        self._print(found)
+        report = write_control_report(self.out, found, self.config, embedding, plans, film=not self.no_film)
+        if not self.json:
+            print(report)
+
+    def _print(self, found: "ControlSummary") -> None:
         if self.json:
             print_json(asdict(found))
             return
@@ -115,16 +128,3 @@ class Control:
                 f"{1 - found.real_time:.0%} of the controls took longer to compute than they lasted; "
                 "fewer --samples or a shorter --horizon-s are faster."
             )
-        if film is not None:
-            print(film)
-
-    def _film(self, out: Path) -> Path:
-        """Film the first episodes, unless that was done before."""
-        from planspace.control.runs import EPISODES
-        from planspace.demos.load import load_demos
-        from planspace.demos.render import FilmConfig, render_demos
-
-        film = out / "film.gif"
-        if not film.exists():
-            render_demos(load_demos(out / EPISODES), film, FilmConfig(episodes=2, fps=20))
-        return film

@@ -3,9 +3,9 @@
 import importlib
 import io
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,22 +63,66 @@ def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
         UsageError: the file is neither GIF nor MP4, an MP4 has an odd size, or the camera does not exist.
         PlanspaceError: there is no model, no OpenGL backend works, or the file cannot be written.
     """
-    _find_encoder(file, config)
-    model, space = demos.info.compile()
-    poses = [_poses(demos.episode(i), config.fps) for i in range(min(config.episodes, len(demos)))]
-    states = space.normalise(np.concatenate(poses))
-    frame = Frame.of_motion(model, space, states)
-    with _camera(model, config, frame) as shoot, progress("render", len(states), unit="frame") as bar:
+    _render([demos], ("",), file, config)
+
+
+def render_side_by_side(columns: Mapping[str, Demos], file: Path, config: FilmConfig) -> None:
+    """Film demonstrations of one robot side by side; a shorter one waits at its end.
+
+    Args:
+        columns: datasets by the titles that stand above them; equally many demonstrations are filmed of each.
+        file: the GIF or MP4 file to write.
+        config: the settings; width and height are those of one picture.
+
+    Raises:
+        UsageError: the file is neither GIF nor MP4, an MP4 has an odd size, or the camera does not exist.
+        PlanspaceError: there is no model, no OpenGL backend works, or the file cannot be written.
+    """
+    _render(list(columns.values()), tuple(columns), file, config)
+
+
+def _render(columns: Sequence[Demos], titles: Sequence[str], file: Path, config: FilmConfig) -> None:
+    whole = replace(config, width=config.width * len(columns))
+    _find_encoder(file, whole)
+    model, space = columns[0].info.compile()
+    num = min(config.episodes, *(len(demos) for demos in columns))
+    rows = [_equally_long([_poses(demos.episode(i), config.fps) for demos in columns]) for i in range(num)]
+    poses = [space.normalise(np.concatenate(column)) for column in zip(*rows, strict=True)]
+    frame = Frame.of_motion(model, space, np.concatenate(poses))
+    with _camera(model, config, frame) as shoot, progress("render", len(poses[0]), unit="frame") as bar:
 
         def frames() -> Iterator[Image]:
             data = mujoco.MjData(model)
-            for state in states:
-                space.write(state, data.qpos, data.qvel, data.act)
-                mujoco.mj_forward(model, data)
-                yield shoot(data)
+            for states in zip(*poses, strict=True):
+                pictures = []
+                for title, state in zip(titles, states, strict=True):
+                    space.write(state, data.qpos, data.qvel, data.act)
+                    mujoco.mj_forward(model, data)
+                    pictures.append(_with_title(shoot(data), title))
+                yield np.concatenate(pictures, axis=1)
                 bar.update()
 
-        write_film(file, frames(), config)
+        write_film(file, frames(), whole)
+
+
+def _equally_long(parts: list[np.ndarray]) -> list[np.ndarray]:
+    """The poses of each column; those of a shorter one end with its last pose, again and again."""
+    longest = max(len(part) for part in parts)
+    return [np.concatenate([part, part[-1:].repeat(longest - len(part), axis=0)]) for part in parts]
+
+
+def _with_title(picture: Image, title: str) -> Image:
+    if not title:
+        return picture
+    from PIL import Image as Pillow
+    from PIL import ImageDraw
+
+    image = Pillow.fromarray(picture)
+    size = max(12, picture.shape[0] // 16)
+    ImageDraw.Draw(image).text(
+        (size // 2, size // 3), title, fill="black", stroke_width=2, stroke_fill="white", font_size=size
+    )
+    return np.asarray(image)
 
 
 def write_film(file: Path, pictures: Iterator[Image], config: FilmConfig) -> None:

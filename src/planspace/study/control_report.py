@@ -1,0 +1,104 @@
+"""The report of `planspace control`: a film, paths in z and numbers in one self-contained HTML file."""
+
+import base64
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from planspace.control.config import ControlConfig
+from planspace.control.runs import EPISODES, ControlSummary
+from planspace.demos.dataset import Demos
+from planspace.demos.load import load_demos
+from planspace.demos.render import FilmConfig, render_demos, render_side_by_side
+from planspace.embed.embedding import Embedding
+from planspace.errors import UsageError
+from planspace.figures.controlled_paths import distance_beside_plans, paths_beside_plans
+from planspace.study.figures import plain_layout
+from planspace.study.html import embedded, write_page
+
+FILM, REPORT = "film.gif", "report.html"
+FILMED = FilmConfig(episodes=2, fps=20)
+DRAWN = 60
+"""Most plans and most episodes that are drawn."""
+HINTS = {
+    "success": "fraction of episodes at the goal for the whole last second",
+    "return_mean": "mean return of the task's reward",
+    "return_worst": "smallest return",
+    "real_time": "fraction of controls computed within a control step, on one core",
+    "regulated": "fraction of control steps in which the regulator acted",
+}
+
+
+def write_control_report(
+    out: Path,
+    summary: ControlSummary,
+    config: ControlConfig,
+    embedding: Embedding | None,
+    plans: Demos | None = None,
+    *,
+    film: bool = True,
+) -> Path:
+    """Write `film.gif` and `report.html` into the folder of a run.
+
+    Args:
+        out: the folder.
+        summary: what the episodes amount to.
+        config: how the controller looked ahead.
+        embedding: draws paths in z; None leaves them out.
+        plans: plans to show beside the episodes.
+        film: whether to film the first episodes. A film that exists is kept.
+
+    Returns:
+        The path of the report.
+
+    Raises:
+        UsageError: the plans have other states than the episodes.
+        PlanspaceError: a file cannot be read or written, or the robot cannot be drawn.
+    """
+    episodes = load_demos(out / EPISODES)
+    if plans is not None and plans.info.names != episodes.info.names:
+        raise UsageError("the plans have other states than the episodes: give plans of the same problem.")
+    if film and not (out / FILM).exists():
+        _film(episodes, plans, out / FILM)
+    few = _chosen(episodes, range(min(len(episodes), DRAWN)))
+    some = None if plans is None else _chosen(plans, range(min(len(plans), DRAWN)))
+    figures = {"paths": "", "distance": ""}
+    if embedding is not None:
+        layout = plain_layout()
+        figures["paths"] = embedded(paths_beside_plans(embedding, few, some).update_layout(**layout))
+        figures["distance"] = embedded(distance_beside_plans(embedding, few, some).update_layout(**layout))
+    return write_page(
+        out / REPORT,
+        "control.html",
+        problem=episodes.info.problem,
+        summary=summary,
+        cost=config.cost,
+        plans=plans is not None,
+        film=_as_data(out / FILM) if film else "",
+        rows=[(name, f"{getattr(summary, name):.3g}", hint) for name, hint in HINTS.items()],
+        **figures,
+    )
+
+
+def _film(episodes: Demos, plans: Demos | None, file: Path) -> None:
+    """Film the first episodes, each beside the plan whose start is nearest."""
+    if plans is None:
+        render_demos(episodes, file, FILMED)
+        return
+    starts = np.stack([plans.episode(i).states[0] for i in range(len(plans))])
+    scale = starts.std(axis=0) + 1e-9
+    shown = range(min(FILMED.episodes, len(episodes)))
+    nearest = [
+        int(np.argmin(np.abs((starts - episodes.episode(i).states[0]) / scale).sum(axis=1))) for i in shown
+    ]
+    columns = {"plan": _chosen(plans, nearest), "controller": episodes}
+    render_side_by_side(columns, file, FILMED)
+
+
+def _chosen(demos: Demos, numbers: Iterable[int]) -> Demos:
+    return Demos.from_episodes(demos.info, [demos.episode(i) for i in numbers])
+
+
+def _as_data(file: Path) -> str:
+    return "data:image/gif;base64," + base64.b64encode(file.read_bytes()).decode()
