@@ -33,10 +33,13 @@ def test_measuring_draws_the_figures(
     capsys: pytest.CaptureFixture[str], embedding_folder: Path, demo_folder: Path, tmp_path: Path
 ) -> None:
     pictures, truth = tmp_path / "deep" / "pictures", tmp_path / "truth.npz"
-    np.savez(truth, states=np.eye(4), time=np.arange(4.0), goal=np.zeros(4))
+    on_plans = np.arange(4) < 2
+    np.savez(truth, states=np.eye(4), time=np.arange(4.0), goals=np.zeros((4, 4)), on_plans=on_plans)
     command = ["measure", embedding_folder, demo_folder, "--plot", pictures, "--truth", truth]
     code, out, _ = call(capsys, *command)
     for said in ("train  ", "validation  ", "test  ", "95 % interval", "raw state", "true_time_correlation"):
+        assert said in out
+    for said in ("true times, on plans", "rank_correlation", "by tenths", "true (raw state)"):
         assert said in out
     assert code == 0 and re.search(rf"^figures +{re.escape(str(pictures))}$", out, flags=re.MULTILINE)
     names = [f"{name}.{ending}" for name in ("distance", "paths", "training") for ending in ("png", "svg")]

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,10 +6,8 @@ import pytest
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.inputs import Inputs
-from planspace.embed.measurement import load_truth, measure_embedding, true_time_correlation
+from planspace.embed.measurement import measure_embedding
 from planspace.errors import PlanspaceError
-
-NAMES = ("slider", "hinge", "slidervel", "hingevel")
 
 
 def test_the_demonstrations_of_the_training_are_measured_by_split(embedding: Embedding, demos: Demos) -> None:
@@ -51,53 +48,6 @@ def test_a_full_turn_changes_z_of_raw_angles(embedding: Embedding, demos: Demos)
     found = measure_embedding(replace(raw, decoder=(decoder, biases)), demos).to_dict()["checks"]
     assert found["change_by_a_turn"] > 0.1
     assert "outside_support" not in found
-
-
-def test_the_correlation_with_the_true_time_is_of_ranks(
-    embedding: Embedding, rng: np.random.Generator
-) -> None:
-    states, goal = rng.normal(size=(40, 4)), np.zeros(4)
-    distance = embedding.distance(states, goal)
-    assert true_time_correlation(embedding, states, np.exp(distance), goal) == pytest.approx(1.0)
-    assert true_time_correlation(embedding, states, -distance, goal) == pytest.approx(-1.0)
-
-
-def test_invalid_files_of_true_times_are_rejected(embedding: Embedding, demos: Demos, tmp_path: Path) -> None:
-    good = {
-        "states": np.random.default_rng(0).normal(size=(9, 4)),
-        "time": np.arange(9.0),
-        "goal": np.zeros(4),
-    }
-    np.savez(tmp_path / "good.npz", **good)
-    states, time, _ = load_truth(tmp_path / "good.npz", NAMES)
-    assert states.shape == (9, 4) and time.shape == (9,)
-    found = measure_embedding(embedding, demos, truth=tmp_path / "good.npz").to_dict()["checks"]
-    assert -1 <= found["true_time_correlation"] <= 1
-    cases = {
-        "is not an .npz": None,
-        "`states` must be": good | {"states": np.zeros((9, 3))},
-        "not finite": good | {"time": np.full(9, np.nan)},
-        "with `states`, `time` and `goal`": {"states": good["states"]},
-        "two different times": good | {"time": np.ones(9)},
-        "got \\(9, 4\\), \\(\\)": good | {"time": np.array(1.0)},
-    }
-    for message, arrays in cases.items():
-        path = tmp_path / "bad.npz"
-        if arrays is None:
-            path.write_text("no")
-        else:
-            np.savez(path, **arrays)
-        with pytest.raises(PlanspaceError, match=message):
-            load_truth(path, NAMES)
-
-
-def test_single_arrays_and_truncated_files_of_true_times_are_rejected(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.zeros(3))
-    np.savez(tmp_path / "b.npz", states=np.zeros((900, 4)))
-    (tmp_path / "b.npz").write_bytes((tmp_path / "b.npz").read_bytes()[:-200])
-    for name in ("a.npy", "b.npz"):
-        with pytest.raises(PlanspaceError, match="is not an .npz with"):
-            load_truth(tmp_path / name, NAMES)
 
 
 @pytest.mark.parametrize("test", [(10**6,), (10**30,), (-1,), (0,), ()])

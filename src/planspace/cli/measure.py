@@ -1,8 +1,9 @@
 """`planspace measure`."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -23,8 +24,9 @@ class Measure:
     demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
     """A dataset folder whose states have the names that the embedding reads."""
     truth: Annotated[Path | None, arg(metavar="FILE.npz", help_behavior_hint="(default: none)")] = None
-    """Shortest times to the goal, if they are known, to correlate with distances in z: `states` [n, state],
-    `time` [n] in seconds, `goal` [state]."""
+    """Shortest times between states, if they are known, to compare with distances: `states` [n, state],
+    `time` [n] in seconds, and `goals` [n, state] or one `goal` [state]. An optional `on_plans` [n] (bool)
+    says which states lie on a plan to their goal; those are also measured separately."""
     plot: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """Draw paths in z, distance against time, and the training curves into DIR. If the embedding was trained
     on these demonstrations, only the test split is drawn."""
@@ -55,4 +57,26 @@ class Measure:
             shown = {"z": columns["embedding"], "95 % interval": intervals}
             print_columns(split, shown | {"raw state": columns["raw_state"], "constant": columns["constant"]})
             print()
+        for subset, distances in found.pop("true_times", {}).items():
+            _print_true_times(subset, distances)
+            print()
         print_values(found)
+
+
+def _print_true_times(subset: str, distances: Mapping[str, Mapping[str, Any]]) -> None:
+    """Print how well each distance predicts the shortest times of some pairs."""
+    named = {name.replace("_", " "): values for name, values in distances.items()}
+    print_columns(f"true times, {subset.replace('_', ' ')}", {k: _numbers(v) for k, v in named.items()})
+    tenths = {}
+    for name, values in named.items():
+        tenths[name] = _numbered(values["predicted"])
+        tenths[f"true ({name})"] = _numbered(values["true"])
+    print_columns("mean [s], by tenths", tenths)
+
+
+def _numbered(values: Sequence[float]) -> dict[str, float]:
+    return {str(i): value for i, value in enumerate(values, start=1)}
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if not isinstance(value, tuple)}

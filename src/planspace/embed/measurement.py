@@ -1,14 +1,12 @@
 """Measure an embedding: geometry of each split, baselines and checks. `planspace measure` prints it."""
 
-import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import scipy.stats
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from planspace.demos.dataset import Demos
 from planspace.embed.about import SPLITS
@@ -23,12 +21,10 @@ from planspace.embed.geometry import (
     tabulate,
 )
 from planspace.embed.inputs import check_numbers
-from planspace.errors import PlanspaceError, UsageError
+from planspace.embed.true_times import TrueTimes, Truth, check_truth, compare_with_truth, load_truth
+from planspace.errors import PlanspaceError
 from planspace.progress import progress, progress_shown
-from planspace.storage.checks import MAX_BYTES, check_file
 from planspace.summary import html_summary, text_summary
-
-TRUTH_KEYS = ("states", "time", "goal")
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Checks:
     outside_support: float | None = None
     """Fraction of the states that lie outside the region that the training demonstrations cover."""
     true_time_correlation: float | None = None
-    """Spearman correlation of |z - z_goal| with the shortest time to the goal."""
+    """Spearman correlation of |z - z_goal| with the shortest time to the goal, over all pairs."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,11 +61,20 @@ class Measurement:
     splits: Mapping[str, SplitMeasurement]
     """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`."""
     checks: Checks = field(default_factory=Checks)
+    true_times: TrueTimes | None = None
+    """How well distances predict the shortest times, if those are known."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurement as plain data for JSON; checks that do not apply are left out."""
+        """Return the measurement as plain data for JSON; what does not apply is left out."""
         checks = {name: value for name, value in asdict(self.checks).items() if value is not None}
-        return {"splits": {name: asdict(part) for name, part in self.splits.items()}, "checks": checks}
+        found = {"splits": {name: asdict(part) for name, part in self.splits.items()}, "checks": checks}
+        if self.true_times is None:
+            return found
+        times = {
+            subset: {name: asdict(part) for name, part in distances.items()}
+            for subset, distances in self.true_times.items()
+        }
+        return found | {"true_times": times}
 
     def __repr__(self) -> str:
         """A few lines: the metrics of the last split, and the checks."""
@@ -86,18 +91,12 @@ class Measurement:
             for metric in ("straightness", "midpoint_error", "time_correlation", "decoded_error")
         }
         checks = {n.replace("_", " "): f"{v:.3g}" for n, v in self.to_dict()["checks"].items()}
+        for subset, times in (self.true_times or {}).items():
+            shown = f"{times['z'].rank_correlation:.3f} ({times['raw_state'].rank_correlation:.3f})"
+            checks[f"true time, {subset.replace('_', ' ')}"] = shown
         splits = f", {name} split" if name in SPLITS else ""
         title = f"Measurement on {z['num_demos']} demonstrations{splits}: z (raw state)"
         return title, rows | checks
-
-
-class Truth(NamedTuple):
-    """Shortest times to a goal."""
-
-    states: Float[np.ndarray, "row state"]
-    time: Float[np.ndarray, " row"]
-    """The shortest time from each state to the goal [s]."""
-    goal: Float[np.ndarray, " state"]
 
 
 def measure_embedding(
@@ -112,8 +111,8 @@ def measure_embedding(
     Args:
         embedding: the embedding.
         demos: the demonstrations; if it was trained on them, each split is measured separately.
-        truth: shortest times to a goal, or an .npz with `states` [n, state], `time` [n] and `goal` [state];
-            the columns are those of the demonstrations.
+        truth: shortest times, or an .npz with `states` [n, state], `time` [n], and `goals` [n, state] or one
+            `goal` [state]; it may have `on_plans` [n]. The columns are those of the demonstrations.
         verbose: show a progress bar.
 
     Raises:
@@ -133,13 +132,16 @@ def measure_embedding(
             if isinstance(truth, Truth)
             else load_truth(Path(truth), demos.info.names)
         )
-    checks = run_checks(embedding, used, truth, demos.info.names)
+    checks, times = run_checks(embedding, used), None
+    if truth is not None:
+        times = compare_with_truth(embedding, demos, reference, truth)
+        checks = replace(checks, true_time_correlation=times["all"]["z"].rank_correlation)
     measured: dict[str, SplitMeasurement] = {}
     with progress_shown(verbose), progress("measure", len(splits), unit="split") as bar:
         for name, part in splits.items():
             measured[name] = _measure_split(embedding, used, part, reference)
             bar.update()
-    return Measurement(measured, checks)
+    return Measurement(measured, checks, times)
 
 
 def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
@@ -160,17 +162,15 @@ def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
     return {name: np.array(about.split[name]) for name in SPLITS}
 
 
-def run_checks(embedding: Embedding, demos: Demos, truth: Truth | None, columns: tuple[str, ...]) -> Checks:
+def run_checks(embedding: Embedding, demos: Demos) -> Checks:
     """Run the checks that apply.
 
     Args:
         embedding: the embedding.
         demos: demonstrations with the states that the embedding reads.
-        truth: shortest times to a goal, if they are known.
-        columns: the columns of `truth`.
     """
     z = embedding.encode(demos.states)
-    change = outside = correlation = None
+    change = outside = None
     circles = embedding.inputs.circular_columns
     if circles:
         turns = 2 * np.pi * np.eye(demos.states.shape[1])
@@ -178,60 +178,7 @@ def run_checks(embedding: Embedding, demos: Demos, truth: Truth | None, columns:
         change = float(max(moved) / np.linalg.norm(z.std(axis=0)))
     if embedding.support is not None:
         outside = float(embedding.outside_support(demos.states).mean())
-    if truth is not None:
-        read = list(embedding.columns_of(columns))
-        correlation = true_time_correlation(embedding, truth.states[:, read], truth.time, truth.goal[read])
-    return Checks(change, outside, correlation)
-
-
-def true_time_correlation(
-    embedding: Embedding,
-    states: Float[np.ndarray, "row state"],
-    time: Float[np.ndarray, " row"],
-    goal: Float[np.ndarray, " state"],
-) -> float:
-    """Spearman correlation of |z - z_goal| with the shortest time to the goal."""
-    return float(scipy.stats.spearmanr(embedding.distance(states, goal), time).statistic)
-
-
-def load_truth(path: Path, columns: tuple[str, ...]) -> Truth:
-    """Load shortest times to a goal from an .npz with `states`, `time` and `goal`.
-
-    Raises:
-        PlanspaceError: the file cannot be read, lacks an array, or has arrays of the wrong shape.
-    """
-    check_file(path, most=MAX_BYTES, may_be_link=True)
-    try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            truth = Truth(*(np.asarray(file[key], dtype=float) for key in TRUTH_KEYS))
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
-        raise PlanspaceError(
-            f"{path} is not an .npz with `states`, `time` and `goal`: {' '.join(str(error).split())}"
-        ) from None
-    try:
-        return check_truth(truth, columns)
-    except UsageError as error:
-        raise PlanspaceError(f"{path}: {error}") from error
-
-
-def check_truth(truth: Truth, columns: tuple[str, ...]) -> Truth:
-    """Check shapes and numbers of shortest times, and return them.
-
-    Raises:
-        UsageError: an array has the wrong shape, a number is not finite, or all times are equal.
-    """
-    states, time, goal = truth
-    n = len(columns)
-    if time.ndim != 1 or states.shape != (len(time), n) or goal.shape != (n,):
-        raise UsageError(
-            f"`states` must be [n, {n}] ({', '.join(columns)}), `time` [n] and `goal` [{n}]; got "
-            f"{states.shape}, {time.shape} and {goal.shape}."
-        )
-    if not all(np.isfinite(a).all() for a in truth):
-        raise UsageError("the shortest times contain a number that is not finite.")
-    if len(np.unique(time)) < 2:
-        raise UsageError("`time` needs at least two different times for a correlation.")
-    return truth
+    return Checks(change, outside)
 
 
 def _measure_split(
