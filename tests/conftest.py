@@ -84,3 +84,14 @@ def embedding(embedding_folder: Path) -> Embedding:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+@pytest.fixture(scope="session")
+def opengl() -> str:
+    """A backend that works on this machine."""
+    from planspace.physics.rendering import rendering_backend
+
+    backend = rendering_backend()
+    if backend is None:
+        pytest.skip("no OpenGL backend works here")
+    return backend

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-import planspace
 from planspace import PlanspaceError, load_demos
 from planspace.control import runs
 from planspace.control.config import ControlConfig
@@ -99,15 +98,11 @@ def test_the_command_line_prints_json_and_films(tmp_path: Path, capsys: pytest.C
 
 @pytest.mark.slow
 def test_the_report_shows_plans_beside_the_episodes(
-    opengl: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    opengl: str, demo_folder: Path, embedding_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planspace.plan_demos("pendulum", 3, out=tmp_path / "plans", verbose=False)
-    planspace.fit_embedding(
-        planspace.load_demos(tmp_path / "plans"), steps=20, out=tmp_path / "z", verbose=False
-    )
     options = ["--episodes", "1", "--episode-s", "0.4", "--samples", "16", "--out", tmp_path / "run"]
-    given = ["--embedding", tmp_path / "z", "--plans", tmp_path / "plans"]
-    code, out, err = call(capsys, "control", "pendulum", *given, *options)
+    given = ["--embedding", embedding_folder, "--plans", demo_folder]
+    code, out, err = call(capsys, "control", "cartpole-swingup", *given, *options)
     assert code == 0, err
     page = (tmp_path / "run" / "report.html").read_text()
     assert str(tmp_path / "run" / "report.html") in out

@@ -11,7 +11,6 @@ from planspace.demos.render import FilmConfig, render_demos, render_side_by_side
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 from planspace.mjcf.source import ModelSource
-from planspace.physics.rendering import rendering_backend
 from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
 
@@ -20,15 +19,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:os.fork\\(\\) was called:Runtime
 
 
 SMALL = FilmConfig(episodes=2, fps=20, width=64, height=48)
-
-
-@pytest.fixture(scope="module")
-def opengl() -> str:
-    """A backend that works on this machine."""
-    backend = rendering_backend()
-    if backend is None:
-        pytest.skip("no OpenGL backend works here")
-    return backend
 
 
 def moving_cart(info: StateInfo | None = None) -> Demos:

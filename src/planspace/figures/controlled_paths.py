@@ -62,11 +62,8 @@ def distance_beside_plans(embedding: Embedding, controlled: Demos, plans: Demos 
             curves = []
             for i in range(len(demos)):
                 episode = demos.episode(i)
-                z, goal = (
-                    embedding.encode(episode.states[:, columns]),
-                    embedding.encode(episode.goal[columns]),
-                )
-                curves.append(np.column_stack([episode.times, norm(z - goal)]))
+                away = embedding.distance(episode.states[:, columns], episode.goal[columns])
+                curves.append(np.column_stack([episode.times, away]))
             _add_lines(figure, curves, name, colour)
     figure.update_layout(
         xaxis_title="time [s]", yaxis_title="distance to the goal in z", yaxis_rangemode="tozero"
