@@ -1,0 +1,117 @@
+"""Does an embedding become better when it also learns from what the controller did?
+
+    python benchmarks/closing_loop.py runs/loop --plans 10
+
+Round 0: an embedding of the plans. Each further round controls 60 starts that no plan and no test has, adds
+the episodes that arrived to the demonstrations, and trains again on all of them. After every round the same
+20 starts are controlled. Rows are added to results/control/closing_loop.csv; what the folder holds is not
+made again. `--table` prints the table of docs/control.md.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from csv_rows import read_rows, write_rows
+
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
+from planspace.control.runs import DEMOS, control_into
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.load import load_demos
+from planspace.embed.embedding import Embedding
+from planspace.embed.fit import fit_embedding
+from planspace.physics.replay import replay
+from planspace.plan.demonstrations import plan_demos
+
+RESULTS = Path(__file__).parents[1] / "results" / "control" / "closing_loop.csv"
+COLUMNS = ("problem", "plans", "round", "demonstrations", "horizon_s", "success", "return_mean")
+LEARN_STARTS, TEST_STARTS, LEARN_SEED, TEST_SEED, SAMPLES, EPISODE_S = 60, 20, 1000, 0, 128, 8.0
+LEARN_HORIZON_S = 0.32
+
+
+def main() -> None:
+    """Run the rounds that the results do not have yet."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, nargs="?", help="where all that is made is kept")
+    parser.add_argument("--problem", default="cartpole-swingup", help="a task with a planning problem")
+    parser.add_argument("--plans", type=int, default=60, metavar="N", help="number of plans")
+    parser.add_argument("--rounds", type=int, default=2, metavar="N", help="rounds after the first embedding")
+    parser.add_argument("--horizons", nargs="+", type=float, default=[0.16, 0.32], metavar="S")
+    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
+    options = parser.parse_args()
+    rows = read_rows(RESULTS)
+    if options.table:
+        print(table(rows))
+        return
+    if options.folder is None:
+        parser.error("give a folder for plans, embeddings and episodes")
+    plant = Plant.find(options.problem)
+    folder = options.folder / f"{options.problem}-{options.plans}"
+    demos = plan_demos(plant.problem, options.plans, out=folder / "plans")
+    for number in range(options.rounds + 1):
+        embedding = fit_embedding(demos, out=folder / f"embedding-{number}")
+        for horizon in options.horizons:
+            key = {
+                "problem": options.problem,
+                "plans": str(options.plans),
+                "round": str(number),
+                "horizon_s": str(horizon),
+            }
+            if not any(key.items() <= row.items() for row in rows):
+                rows.append(key | test(plant, embedding, horizon, folder / f"test-{number}-{horizon}"))
+                rows[-1]["demonstrations"] = str(len(demos))
+                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
+                write_rows(RESULTS, COLUMNS, rows)
+        if number < options.rounds:
+            demos = more(plant, embedding, demos, folder / f"learn-{number}", LEARN_SEED + number)
+
+
+def test(plant: Plant, embedding: Embedding, horizon: float, out: Path) -> dict[str, str]:
+    """Control the test starts."""
+    config = ControlConfig(horizon_s=horizon, samples=SAMPLES)
+    found = control_into(plant, embedding, config, out, num=TEST_STARTS, seed=TEST_SEED, episode_s=EPISODE_S)
+    return {"success": f"{found.success:.2f}", "return_mean": f"{found.return_mean:.1f}"}
+
+
+def more(plant: Plant, embedding: Embedding, demos: Demos, out: Path, seed: int) -> Demos:
+    """Control other starts, and add the episodes that arrived to the demonstrations."""
+    config = ControlConfig(horizon_s=LEARN_HORIZON_S, samples=SAMPLES)
+    control_into(plant, embedding, config, out, num=LEARN_STARTS, seed=seed, episode_s=EPISODE_S)
+    controlled = load_demos(out / DEMOS)
+    episodes = [fine(plant, controlled.episode(i)) for i in range(len(controlled))]
+    old = [demos.episode(i) for i in range(len(demos))]
+    return Demos.from_episodes(demos.info, [*old, *episodes])
+
+
+def fine(plant: Plant, episode: Episode) -> Episode:
+    """The same episode with a state for each physics step, as plans have."""
+    repeats, step = plant.task.frame_skip, float(plant.model.opt.timestep)
+    controls = np.repeat(episode.controls, repeats, axis=0)
+    times = step * np.arange(len(controls) + 1)
+    states = replay(plant.model, plant.space, episode.states[0], controls, times)
+    return replace(episode, states=states, controls=controls, times=times)
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """Success by round, one column a horizon."""
+    horizons = sorted({row["horizon_s"] for row in rows}, key=float)
+    lines = [
+        f"| problem | plans | round | demonstrations | {' | '.join(f'{h} s' for h in horizons)} |",
+        f"|---|---|---|---|{'---|' * len(horizons)}",
+    ]
+    cells = {(r["problem"], r["plans"], r["round"], r["horizon_s"]): r for r in rows}
+    for key in dict.fromkeys(cell[:3] for cell in cells):
+        found = [cells.get((*key, h)) for h in horizons]
+        known = next(row for row in found if row)
+        shown = ["" if row is None else f"{float(row['success']):.0%}" for row in found]
+        lines.append(f"| {' | '.join([*key, known['demonstrations'], *shown])} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
