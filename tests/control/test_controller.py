@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace import Controller, Embedding, PlanspaceError, UsageError, load_problem
+from planspace import Controller, Embedding, PlanspaceError, UsageError, load_problem, make_env
 from planspace.control.config import ControlConfig
 from planspace.control.costs import support_note
 from planspace.control.episodes import run_episode
@@ -45,6 +45,18 @@ def test_the_seed_decides_the_samples_and_threads_do_not() -> None:
     assert [one(HANGING) for _ in range(3)] == first
     one.reset(4)
     assert [one(HANGING) for _ in range(3)] != first
+
+
+def test_in_a_gymnasium_environment_it_does_the_same(embedding: Embedding) -> None:
+    controller = Controller("cartpole-swingup", embedding, ControlConfig(samples=16))
+    episode = run_episode(controller, 0, 0, num_steps=8)
+    env = make_env("cartpole-swingup")
+    _, info = env.reset(seed=0, options={"state": episode.states[0]})
+    controller.reset((0, 0, 1))
+    for reward, state in zip(episode.rewards, episode.states[1:], strict=True):
+        _, found, _, _, info = env.step(controller(info["state"]))
+        assert found == reward
+        np.testing.assert_array_equal(info["state"], state)
 
 
 def test_what_was_planned_is_remembered() -> None:
