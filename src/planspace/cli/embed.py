@@ -19,7 +19,7 @@ from planspace.cli.config_files import (
     with_settings,
 )
 from planspace.cli.tables import print_columns
-from planspace.embed.config import PRESETS, FitConfig, update_saved
+from planspace.embed.config import PRESETS, FitConfig, TimeHeadConfig, update_saved
 from planspace.embed.objectives import OBJECTIVES
 from planspace.errors import UsageError, unknown
 
@@ -47,10 +47,14 @@ class Embed:
     """The first seed, and the seed of the split into training, validation and test."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard in DIR/tensorboard (extra `track`). log.jsonl always has them."""
+    time_head: bool = False
+    """Also train `time_to_go`, the shortest time between two states in seconds, after the rest. Datasets of
+    `planspace plan --keep-trees` make it better."""
     device: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: JAX's)")] = ""
     """The JAX device to compute on: cpu, cuda or tpu. Networks of this size are fastest on a CPU."""
     config_file: ConfigFile = None
     config: FitConfig = field(default_factory=FitConfig)
+    time: TimeHeadConfig = field(default_factory=TimeHeadConfig)
 
     @classmethod
     def default(cls, arguments: Sequence[str]) -> "Embed":
@@ -58,6 +62,8 @@ class Embed:
         path, file = given_config(arguments)
         if "fit" in file:  # the config.json of an embedding
             file = update_saved(group_in_file(file, "fit", path))
+        head = group_in_file(file, "time_head", path) if "time_head" in file else None
+        file = {name: value for name, value in file.items() if name != "time_head"}
         preset = given_name(arguments, file, "preset", path) or "modern"
         if preset not in PRESETS:
             raise unknown("preset", preset, PRESETS)
@@ -67,7 +73,8 @@ class Embed:
         config = PRESETS[preset].with_objective(load_or_name(objective))
         if path:
             config = with_settings(config, file, path)
-        return cls(objective=objective, config=config)
+        time = TimeHeadConfig() if head is None else with_settings(TimeHeadConfig(), head, path)
+        return cls(objective=objective, config=config, time=time, time_head=head is not None)
 
     def __call__(self) -> None:
         """Train, and print the geometry on the test split."""
@@ -90,6 +97,7 @@ class Embed:
             out=self.out,
             num_seeds=self.seeds,
             seed=self.seed,
+            time_head=self.time if self.time_head else False,
             tensorboard=self.tensorboard,
         )
         about = embedding.require_about()

@@ -11,6 +11,7 @@ from planspace.embed.inputs import INPUT_TYPES, InputType
 from planspace.embed.objective import PAGE, Objective, as_objective
 from planspace.embed.objectives import OBJECTIVES
 from planspace.embed.objectives.variational import Variational
+from planspace.embed.time_head import TIME_INPUTS, TimeInput
 from planspace.errors import UsageError, check_setting, unknown
 from planspace.seams import with_settings
 
@@ -123,6 +124,49 @@ class FitConfig:
             UsageError: neither these settings nor the objective have a setting of that name.
         """
         return with_settings(self, **changes)
+
+
+@dataclass(frozen=True)
+class TimeHeadConfig:
+    """Settings of training the time head."""
+
+    inputs: Annotated[TimeInput, arg(name="time-inputs")] = "state"
+    """What the time head reads: the encoder's inputs, z, or both."""
+    hidden: Annotated[tuple[int, ...], arg(name="time-hidden")] = (128, 128)
+    """Units of the hidden layers of the time head."""
+    features: Annotated[int, arg(name="time-features")] = 256
+    """Number of features whose differences are compared."""
+    steps: Annotated[int, arg(name="time-steps")] = 6_000
+    """Optimiser steps of the time head."""
+    batch: Annotated[int, arg(name="time-batch")] = 512
+    """Pairs of each kind per step."""
+    learning_rate: Annotated[float, arg(name="time-learning-rate")] = 3e-3
+    """Initial learning rate of Adam; it decreases to zero along a cosine."""
+    slack: Annotated[float, arg(name="time-slack")] = 0.01
+    """Root mean square by which the estimate may exceed the duration of an edge [s]."""
+    farthest: Annotated[float, arg(name="time-farthest")] = 4.0
+    """Random states are pushed apart up to about this time [s]."""
+    softness: Annotated[float, arg(name="time-softness")] = 0.5
+    """Width of the transition at `farthest` [s]."""
+    plan_weight: Annotated[float, arg(name="time-plan-weight")] = 1.0
+    """Weight of the squared error of times within demonstrations."""
+
+    def __post_init__(self) -> None:
+        """Check the settings.
+
+        Raises:
+            UsageError: one is out of its range; the message names it.
+        """
+        counts = (("features", self.features), ("steps", self.steps), ("batch", self.batch))
+        for name, value in (*counts, *(("hidden", units) for units in self.hidden)):
+            check_setting(f"time_{name}", value, value >= 1, "at least 1")
+        for name in ("learning_rate", "slack", "farthest", "softness"):
+            value = getattr(self, name)
+            check_setting(f"time_{name}", value, 0 < value < math.inf, "above 0 and finite")
+        weight = self.plan_weight
+        check_setting("time_plan_weight", weight, 0 <= weight < math.inf, "at least 0 and finite")
+        if self.inputs not in TIME_INPUTS:
+            raise unknown("time_inputs", self.inputs, TIME_INPUTS)
 
 
 _RENAMED = {"near": "short_fraction", "z_deviation": "z_std"}

@@ -13,6 +13,7 @@ from planspace.embed.about import About
 from planspace.embed.inputs import Inputs
 from planspace.embed.mlp import Layer, forward
 from planspace.embed.support import Support
+from planspace.embed.time_head import TimeHead, quasimetric
 from planspace.errors import PlanspaceError, UsageError
 from planspace.storage.arrays import Arrays
 from planspace.summary import html_summary, text_summary
@@ -63,6 +64,8 @@ class Embedding:
     """The region that the demonstrations cover; None if it is not known."""
     about: About | None = None
     """Preset, seed, settings, metrics and versions; None if `fit_embedding` did not make the embedding."""
+    time_head: TimeHead | None = None
+    """Estimates shortest times; None if it was not trained."""
 
     @property
     def z_dim(self) -> int:
@@ -152,6 +155,30 @@ class Embedding:
         """|z(a) - z(b)|: the distance between two states along plans like those of the training."""
         return norm(self.encode(a) - self.encode(b))
 
+    def time_to_go(
+        self, start: Float[np.ndarray, "*batch state"], goal: Float[np.ndarray, "*batch2 state"]
+    ) -> Float[np.ndarray, "*batch3"]:
+        """Estimate the shortest time from one state to another [s].
+
+        It is never negative, 0 from a state to itself, and meets the triangle inequality. Unlike `distance`,
+        it differs between there and back.
+
+        Args:
+            start: where the robot is.
+            goal: where it is to be; any state, not only the goal of the demonstrations.
+
+        Raises:
+            PlanspaceError: the embedding has no time head, or the states have the wrong number of columns.
+        """
+        if self.time_head is None:
+            raise PlanspaceError(
+                "the embedding has no time head; train it with `planspace embed --time-head`, or with "
+                "`fit_embedding(..., time_head=True)`."
+            )
+        head = self.time_head
+        a, b = (head.features(self.inputs(self._checked(x)), self.encode(x)) for x in (start, goal))
+        return quasimetric(a, b)
+
     def outside_support(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Tell which states lie outside the region that the demonstrations cover, where z is a guess.
 
@@ -194,6 +221,8 @@ class Embedding:
     def _summary(self) -> tuple[str, dict[str, str]]:
         title = f"Embedding of states of {self.state_dim} numbers in z of {self.z_dim} numbers"
         rows = {"reads": ", ".join(self.inputs.names), "inputs": self.inputs.form}
+        if self.time_head is not None:
+            rows["time to go"] = f"estimated from {self.time_head.reads}"
         if self.about is None:
             return title, rows
         settings, metrics = self.about.settings, self.about.metrics["test"]
@@ -228,7 +257,10 @@ class Embedding:
         arrays = {"mean": self.inputs.mean, "deviation": self.inputs.std}
         if self.linear_map is not None:
             arrays |= {"turn.matrix": self.linear_map.matrix, "turn.centre": self.linear_map.centre}
-        for name, (weights, biases) in (("encoder", self.encoder), ("decoder", self.decoder)):
+        networks = {"encoder": self.encoder, "decoder": self.decoder}
+        if self.time_head is not None:
+            networks["time_head"] = (self.time_head.weights, self.time_head.biases)
+        for name, (weights, biases) in networks.items():
             for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
         return arrays

@@ -13,7 +13,7 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.embed.about import About, ObjectiveSummary, TrainingSettings
 from planspace.embed.card import model_card
-from planspace.embed.config import PRESETS, FitConfig, update_saved
+from planspace.embed.config import PRESETS, FitConfig, TimeHeadConfig, update_saved
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
     MIN_STATES,
@@ -33,6 +33,7 @@ from planspace.embed.samples import Samples, make_samples
 from planspace.embed.saved_embedding import CARD, DESCRIPTION, LOG, load_embedding
 from planspace.embed.steps import check_loss
 from planspace.embed.support import Support
+from planspace.embed.time_training import fit_time_head
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress_shown
@@ -65,6 +66,7 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
     num_seeds: int = 5,
     seed: int = 0,
     split_seed: int | None = None,
+    time_head: bool | TimeHeadConfig = False,
     verbose: bool = True,
     tensorboard: bool = False,
 ) -> Embedding:
@@ -85,6 +87,8 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
         num_seeds: number of seeds to train.
         seed: the first seed; seeds seed, seed + 1, ... are trained.
         split_seed: seed of the split of the demonstrations; by default `seed`.
+        time_head: also train `Embedding.time_to_go`, after the rest, which does not change: True, or its
+            settings. Demonstrations with search trees make it better.
         verbose: show a progress bar.
         tensorboard: also write the curves for TensorBoard; needs `out`.
 
@@ -101,7 +105,9 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
         raise UsageError(f"`num_seeds` must be at least 1 and `seed` at least 0, got {num_seeds} and {seed}.")
     if out is None and tensorboard:
         raise UsageError("`tensorboard` needs `out`, a folder for the curves.")
-    request = _Request(config, range(seed, seed + num_seeds), seed if split_seed is None else split_seed)
+    seeds, split_seed = range(seed, seed + num_seeds), seed if split_seed is None else split_seed
+    head = TimeHeadConfig() if time_head is True else time_head or None
+    request = _Request(config, seeds, split_seed, head)
     with progress_shown(verbose):
         if out is not None:
             return _fit(demos, Path(out), request, tensorboard)
@@ -134,12 +140,15 @@ class _Request:
     config: FitConfig
     seeds: Sequence[int]
     split_seed: int
+    time_head: TimeHeadConfig | None
 
 
 def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embedding:
     prepared = _prepare(demos, request.config, request.split_seed)  # refuses unusable input before writing
     seeds = tuple(request.seeds if prepared.solution is None else request.seeds[:1])
     fit = plain_settings(request.config)
+    if request.time_head is not None:
+        fit |= {"time_head": plain_settings(request.time_head)}
     settings = TrainingSettings(demos.hash, seeds, request.split_seed, fit=fit)
     with lock_folder(out):
         open_run(
@@ -147,13 +156,13 @@ def _fit(demos: Demos, out: Path, request: _Request, tensorboard: bool) -> Embed
         )
         if (out / DESCRIPTION).exists():
             return load_embedding(out)
-        return _train_and_save(prepared, out, request.config, settings, tensorboard)
+        return _train_and_save(prepared, out, request, settings, tensorboard)
 
 
 def _train_and_save(
-    prepared: "_Prepared", out: Path, config: FitConfig, settings: TrainingSettings, tensorboard: bool
+    prepared: "_Prepared", out: Path, request: _Request, settings: TrainingSettings, tensorboard: bool
 ) -> Embedding:
-    seeds, split_seed = settings.seeds, settings.split_seed
+    config, seeds, split_seed = request.config, settings.seeds, settings.split_seed
     embeddings = _train_seeds(prepared, out, config, seeds, tensorboard)
     split, used = prepared.split, prepared.demos
     chosen, validation = choose(embeddings, used, split, config)
@@ -163,6 +172,9 @@ def _train_and_save(
         np.random.default_rng(np.random.SeedSequence([split_seed, 2])),
     )
     best = embeddings[chosen]
+    if request.time_head is not None:
+        head = fit_time_head(best, used, split["train"], request.time_head, seeds[chosen])
+        best = replace(best, time_head=head)
     about = About(
         preset=config.preset,
         seed=seeds[chosen],

@@ -30,7 +30,7 @@ class GaussianNetwork(eqx.Module):
         self, num_in: int, num_out: int, hidden: Sequence[int], sigma_floor: float, *, key: Key[Array, ""]
     ):
         """Draw fresh weights."""
-        self.weights, self.biases = _layers((num_in, *hidden, 2 * num_out), key)
+        self.weights, self.biases = glorot_layers((num_in, *hidden, 2 * num_out), key)
         self.sigma_floor = sigma_floor
 
     def __call__(self, x: Float[Array, " in"]) -> DiagonalGaussian:
@@ -49,7 +49,7 @@ class Transition(eqx.Module):
 
     def __init__(self, z_dim: int, num_controls: int, hidden: Sequence[int], *, key: Key[Array, ""]):
         """Draw fresh weights."""
-        self.weights, self.biases = _layers((z_dim, *hidden, (3 + num_controls) * z_dim), key)
+        self.weights, self.biases = glorot_layers((z_dim, *hidden, (3 + num_controls) * z_dim), key)
         self.z_dim, self.num_controls = z_dim, num_controls
 
     def __call__(
@@ -102,7 +102,8 @@ class PlanSpaceModel(eqx.Module):
 _glorot_uniform: Callable[..., Array] = jax.nn.initializers.glorot_uniform(in_axis=1, out_axis=0)
 
 
-def _layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], list[Array]]:
+def glorot_layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array], list[Array]]:
+    """Draw Glorot-uniform weights [out, in] and zero biases of layers with the given sizes."""
     keys = jr.split(key, len(sizes) - 1)
     weights = [_glorot_uniform(k, (b, a)) for k, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True)]
     return weights, [jnp.zeros(b) for b in sizes[1:]]

@@ -17,6 +17,8 @@ from planspace.embed.about import read_about
 from planspace.embed.embedding import Embedding, LinearMap
 from planspace.embed.inputs import INPUT_TYPES, Inputs
 from planspace.embed.support import Support
+from planspace.embed.time_head import ARCHITECTURE as TIME_ARCHITECTURE
+from planspace.embed.time_head import TIME_INPUTS, TimeHead
 from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import CONFIG, reject_malformed
@@ -58,6 +60,7 @@ def save_embedding(embedding: Embedding, path: Path) -> None:
         "z_dim": embedding.z_dim,
         "sigma_floor": embedding.sigma_floor,
         "support_radius": None if support is None else support.radius,
+        **_head_description(embedding.time_head),
         "about": {} if embedding.about is None else embedding.about.plain(),
     }
     write_sealed(path / DESCRIPTION, description)
@@ -124,6 +127,7 @@ def _assemble(path: Path, text: dict[str, Any]) -> Embedding:
         sigma_floor=float(text["sigma_floor"]),
         linear_map=linear_map,
         support=support,
+        time_head=_time_head(path, text, arrays),
         about=read_about(text["about"]),
     )
 
@@ -148,6 +152,28 @@ def _check_parts(embedding: Embedding, z_dim: int) -> None:
         raise ValueError("its networks give numbers that are not finite")
     if embedding.support is not None:
         embedding.outside_support(state)
+    if embedding.time_head is not None and not np.isfinite(embedding.time_to_go(state, state[::-1])).all():
+        raise ValueError("its time head gives numbers that are not finite")
+
+
+def _head_description(head: TimeHead | None) -> dict[str, Any]:
+    """The entry of a time head; nothing if there is none, so that the file is as in earlier versions."""
+    return {} if head is None else {"time_head": {"architecture": TIME_ARCHITECTURE, "reads": head.reads}}
+
+
+def _time_head(path: Path, text: dict[str, Any], arrays: Arrays) -> TimeHead | None:
+    if "time_head" not in text:
+        return None
+    named = text["time_head"]["architecture"]
+    if named != TIME_ARCHITECTURE:
+        raise PlanspaceError(
+            f"{path / DESCRIPTION} names the time head {quoted(named)}; this planspace only knows "
+            f"{TIME_ARCHITECTURE!r}."
+        )
+    weights, biases = _layers(arrays, "time_head")
+    if not weights:
+        raise ValueError("its time head has no weights")
+    return TimeHead(weights, biases, TIME_INPUTS[TIME_INPUTS.index(text["time_head"]["reads"])])
 
 
 def _layers(arrays: Arrays, name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
