@@ -48,7 +48,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
             "`restarts` must be at least 1, got 0.",
         ),
         (["plan", "reacher", "--cost", "speed", "--out", "x"], "invalid choice 'speed'"),
-        (["train"], "which task? One of acrobot-swingup, arm, cartpole"),
+        (["train"], "which task? One of acrobot, acrobot-swingup, arm"),
         (["train", "cartpole"], "`--out DIR` is required"),
         (["embed"], "which demonstrations? Give a dataset folder"),
         (["train", "cartpole", "--algo", "tpro"], "unknown algorithm 'tpro'. Did you mean 'trpo'?"),

@@ -243,8 +243,8 @@ def test_extreme_actions_are_refused_or_end_the_episode() -> None:
 
 def test_tasks_are_found_by_name_and_suggest_the_nearest() -> None:
     assert isinstance(find_task("cartpole"), Task)
-    with pytest.raises(UsageError, match="unknown task 'reacher'. Did you mean 'reacher-"):
-        find_task("reacher")
+    with pytest.raises(UsageError, match="unknown task 'reachr'. Did you mean 'reacher"):
+        find_task("reachr")
 
 
 def test_the_package_says_its_version() -> None:

@@ -21,14 +21,15 @@ from planspace.cli.tables import counted, print_json, print_values
 from planspace.control.config import ControlConfig
 from planspace.control.methods import METHODS
 from planspace.errors import UsageError, unknown
-from planspace.mjcf.assets import ASSETS
-from planspace.tasks.catalog import TASKS
+from planspace.tasks.catalog import task_names
 
 if TYPE_CHECKING:
     from planspace.control.runs import ControlSummary
 
-NAMES = sorted({*TASKS, *(path.stem for path in ASSETS.glob("*.yaml"))})
-HELP = f"One of {', '.join(NAMES)}; or the path of your own problem file. A name of both means the task."
+HELP = (
+    f"One of {', '.join(task_names())}; or the path of your own problem file. A name of both a task and a "
+    "problem means the task."
+)
 IN_TIME = 0.99
 """Fraction of control steps above which a run counts as real time."""
 RECORDED = ("task", "task_sha256", "problem", "embedding", "seed", "episode_steps", "versions")

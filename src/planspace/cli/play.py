@@ -23,8 +23,8 @@ class Play:
     arm: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = ""
     """Which arm of a `planspace run` to play; without it the arms are listed."""
     task: Annotated[str, arg(metavar="TASK", help_behavior_hint="(default: that of the run)")] = ""
-    """module.py:NAME, if the policy was trained on your own Task or GymTask. A run on a problem file holds
-    its task."""
+    """module.py:NAME, if the policy was trained on your own Task or GymTask. A run on a planning
+    problem holds its task."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
     """The seed to play. best: the seed with the highest return in the last evaluation."""
     episodes: Annotated[int, arg(metavar="N")] = 10

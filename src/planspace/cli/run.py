@@ -8,9 +8,9 @@ from tyro.conf import Positional, arg
 
 from planspace.cli.config_files import check_least
 from planspace.errors import PartialResult
-from planspace.tasks.catalog import TASKS, is_problem_file
+from planspace.tasks.catalog import is_problem_file, task_names
 
-TASK_HELP = f"One of {', '.join(sorted(TASKS))}; or FILE.yaml, your own problem file."
+TASK_HELP = f"One of {', '.join(task_names())}; or FILE.yaml, your own problem file."
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ class Study:
     task: Positional[
         Annotated[str, arg(metavar="[TASK]", help_behavior_hint="(default: the study's own)")]
     ] = ""
-    """For recipe and controls: another task. The name of a shipped task; FILE.yaml, your own problem file; or
-    module.py:NAME, your own Task."""
+    """For recipe and controls: another task. The name of a shipped task or planning problem; FILE.yaml, your
+    own problem file; or module.py:NAME, your own Task."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
     """Folder of the results: DIR/NAME-BUDGET/report.html (for another task DIR/NAME-TASK-HASH-BUDGET), and
     DIR/units with the result of each unit. Studies with the same DIR share their common units. The same

@@ -24,7 +24,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.saved_settings import read_settings
 from planspace.seams import check_fits
 from planspace.storage.tracking import TrackerName
-from planspace.tasks.catalog import TASKS
+from planspace.tasks.catalog import task_names
 from planspace.tasks.gymnasium import AnyTask, GymTask, find_training_task
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ RECORDED = ("task", "task_sha256", "environment", "embeddings", "versions", "pre
 """What a run's config.json records besides settings."""
 GYM_HELP = "Gymnasium steps its environments one after another, which is slower than planspace's own tasks."
 TASK_HELP = (
-    f"One of {', '.join(sorted(TASKS))}; FILE.yaml, your own problem file; gym:ID, a Gymnasium environment; "
+    f"One of {', '.join(task_names())}; FILE.yaml, your own problem file; gym:ID, a Gymnasium environment; "
     f"or module.py:NAME, your own Task or GymTask. {GYM_HELP}"
 )
 

@@ -12,7 +12,7 @@ from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.linearise import at_rest
-from planspace.tasks.catalog import TASKS, find_task, is_problem_file
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Goal, Problem
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.problem_task import task_of_problem
@@ -43,8 +43,6 @@ class Plant:
         """
         if isinstance(given, Plant):
             return given
-        if isinstance(given, str) and given not in TASKS and not is_problem_file(given):
-            given = load_problem(given)
         if isinstance(given, Problem):
             return cls(task_of_problem(given), given)
         task = find_task(given)

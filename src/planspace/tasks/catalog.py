@@ -1,10 +1,14 @@
-"""The tasks by name: each module in `tasks/shipped` has one, and users can add their own."""
+"""The tasks by name: each module in `tasks/shipped` has one, and users can add their own.
+
+A shipped planning problem that no task is named after is a task, too; see `tasks.problem_task`.
+"""
 
 import importlib
 import pkgutil
 from pathlib import Path
 
 from planspace.errors import UsageError, quoted, unknown
+from planspace.mjcf.assets import ASSETS
 from planspace.tasks import shipped
 from planspace.tasks.task import PAGE, Task
 
@@ -22,6 +26,16 @@ TASKS: dict[str, Task] = shipped_tasks()
 """The tasks that can be named: the shipped ones, and those that `add_task` added in this process."""
 
 
+def task_names() -> list[str]:
+    """Return the names that `find_task` knows: those of `TASKS` and of the shipped problems."""
+    return sorted({*TASKS, *_problem_names()})
+
+
+def _problem_names() -> list[str]:
+    """The names of the shipped problems, without the imports of `tasks.problem_file`."""
+    return [path.stem for path in ASSETS.glob("*.yaml")]
+
+
 def add_task(task: Task) -> None:
     """Let a task of your own be found by its name in this process.
 
@@ -34,13 +48,15 @@ def add_task(task: Task) -> None:
 
 
 def find_task(task: str | Path | Task) -> Task:
-    """Return the task with this name, the task of a problem file, or the task itself.
+    """Return the task with this name, the task of a problem, or the task itself.
 
     Args:
-        task: a name in `TASKS`, the path of a problem file (`.yaml`), or a task.
+        task: a name in `task_names()`, the path of a problem file (`.yaml`), or a task. A name of both a task
+            and a shipped problem means the task.
 
     Raises:
-        UsageError: no task has this name (the nearest one is suggested), or it is neither name nor task.
+        UsageError: no task has this name (the nearest one is suggested), it is neither name nor task, or
+            the problem is kinematic.
         PlanspaceError: the problem file or its model cannot be read.
     """
     if isinstance(task, Task):
@@ -53,16 +69,17 @@ def find_task(task: str | Path | Task) -> Task:
         )
     if not isinstance(task, str | Path):
         raise UsageError(f"expected a task or its name, got {quoted(task)}. See {PAGE}.")
-    if is_problem_file(task):
+    name = str(task)
+    if name in TASKS:
+        return TASKS[name]
+    if is_problem_file(task) or name in _problem_names():
         from planspace.tasks.problem_file import load_problem
         from planspace.tasks.problem_task import task_of_problem
 
         return task_of_problem(load_problem(task))
-    if str(task) not in TASKS and Path(f"{task}.yaml").is_file():
-        raise UsageError(f"unknown task {quoted(str(task))}. Did you mean the problem file {task}.yaml?")
-    if str(task) not in TASKS:
-        raise unknown("task", str(task), TASKS)
-    return TASKS[str(task)]
+    if Path(f"{name}.yaml").is_file():
+        raise UsageError(f"unknown task {quoted(name)}. Did you mean the problem file {name}.yaml?")
+    raise unknown("task", name, task_names())
 
 
 def is_problem_file(task: str | Path) -> bool:
