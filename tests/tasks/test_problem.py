@@ -1,3 +1,6 @@
+import importlib
+import linecache
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,3 +273,61 @@ def test_messages_stay_short_for_aliased_and_nested_yaml(tmp_path: Path) -> None
     with pytest.raises(PlanspaceError, match="tolerance: expected finite numbers") as raised:
         load_problem(write(tmp_path, GOOD.replace("tolerance: 0.1", f"tolerance: {deep}")))
     assert len(str(raised.value)) < 300
+
+
+class Fence:
+    """A predicate as a method, with a setting."""
+
+    def __init__(self, reach: float) -> None:
+        self.reach = reach
+
+    def inside(self, states: np.ndarray) -> np.ndarray:
+        return np.abs(states[:, 0]) < self.reach
+
+
+PREDICATE = """
+REACH = 0.5
+
+def size(states):
+    return abs(states[:, 0])
+
+def allowed(states):
+    return size(states) < REACH
+"""
+
+
+def test_a_changed_predicate_changes_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = load_problem("cartpole")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def hash_of(text: str) -> str:
+        (tmp_path / "own_predicate.py").write_text(text)
+        sys.modules.pop("own_predicate", None)
+        linecache.clearcache()
+        return replace(problem, predicate=importlib.import_module("own_predicate").allowed).hash
+
+    first = hash_of(PREDICATE)
+    changes = (
+        ("<", "<="),
+        ("0.5", "0.6"),
+        ("states[:, 0]", "states[:, 1]"),
+    )  # its code, what it reads and calls
+    hashes = {hash_of(PREDICATE.replace(*change)) for change in changes}
+    assert len({problem.hash, first} | hashes) == 5
+    assert hash_of(PREDICATE) == first == hash_of(f"{PREDICATE}OTHER = 1\n")
+    near, far = (replace(problem, predicate=Fence(reach).inside).hash for reach in (0.5, 0.6))
+    assert near != far and near == replace(problem, predicate=Fence(0.5).inside).hash
+
+
+def allowed_anywhere(states: np.ndarray) -> np.ndarray:
+    return np.ones(len(states), dtype=bool)
+
+
+def test_a_changed_predicate_does_not_continue_a_dataset(tmp_path: Path) -> None:
+    out, config = tmp_path / "demos", PlanConfig.for_problem(load_problem("cartpole"), restarts=1)
+    problem = replace(load_problem("cartpole"), predicate=allowed_anywhere)
+    assert plan_into(problem, out, num=1, seed=0, config=config, workers=1).num_episodes == 1
+    assert plan_into(problem, out, num=1, seed=0, config=config, workers=1).num_episodes == 1
+    with pytest.raises(PlanspaceError, match="problem"):
+        plan_into(replace(problem, predicate=Fence(5.0).inside), out, num=2, seed=0, config=config, workers=1)

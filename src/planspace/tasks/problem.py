@@ -15,6 +15,7 @@ from planspace.physics.constraints import MAX_DEPTH
 from planspace.physics.simulator import Simulator, Validity
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND, StateSpace
 from planspace.storage.json_files import json_hash
+from planspace.tasks.source_hash import function_settings
 from planspace.tasks.task_settings import TaskSettings
 
 IDLE_COST = 0.1
@@ -247,9 +248,11 @@ class Problem:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of everything that plans depend on."""
+        """SHA-256 of everything that plans depend on; of a predicate, see `tasks.source_hash`."""
         left_out = ("model", "task")
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in left_out}
+        if self.predicate is not None:
+            own["predicate"] = _predicate_content(self.predicate)
         for name in ("body_features", "limit_slack"):
             if not own[name]:
                 del own[name]  # problems without it keep the hash that earlier versions recorded
@@ -278,7 +281,15 @@ def _straight_difference(space: StateSpace, low: np.ndarray, high: np.ndarray) -
     return delta
 
 
+def _predicate_content(predicate: Callable[[np.ndarray], np.ndarray]) -> dict[str, Any]:
+    """The name of a predicate, what it does, and the attributes of the object whose method it is."""
+    attributes = getattr(getattr(predicate, "__self__", None), "__dict__", {})
+    return {
+        "name": f"{predicate.__module__}:{getattr(predicate, '__qualname__', type(predicate).__qualname__)}",
+        "does": function_settings(predicate),
+        "attributes": function_settings(attributes),
+    }
+
+
 def _plain(value: Any) -> Any:
-    if isinstance(value, Box):
-        return {"low": value.low, "high": value.high}
-    return f"{value.__module__}:{value.__qualname__}" if callable(value) else value
+    return {"low": value.low, "high": value.high} if isinstance(value, Box) else value
