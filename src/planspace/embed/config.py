@@ -136,19 +136,19 @@ class TimeHeadConfig:
     """Units of the hidden layers of the time head."""
     features: Annotated[int, arg(name="time-features")] = 256
     """Number of features whose differences are compared."""
-    steps: Annotated[int, arg(name="time-steps")] = 6_000
+    steps: Annotated[int, arg(name="time-steps")] = 2_500
     """Optimiser steps of the time head."""
-    batch: Annotated[int, arg(name="time-batch")] = 512
+    batch: Annotated[int, arg(name="time-batch")] = 1024
     """Pairs of each kind per step."""
     learning_rate: Annotated[float, arg(name="time-learning-rate")] = 3e-3
     """Initial learning rate of Adam; it decreases to zero along a cosine."""
-    slack: Annotated[float, arg(name="time-slack")] = 0.01
+    slack: Annotated[float, arg(name="time-slack")] = 0.004
     """Root mean square by which the estimate may exceed the duration of an edge [s]."""
     farthest: Annotated[float, arg(name="time-farthest")] = 4.0
     """Random states are pushed apart up to about this time [s]."""
     softness: Annotated[float, arg(name="time-softness")] = 0.5
     """Width of the transition at `farthest` [s]."""
-    plan_weight: Annotated[float, arg(name="time-plan-weight")] = 1.0
+    plan_weight: Annotated[float, arg(name="time-plan-weight")] = 10.0
     """Weight of the squared error of times within demonstrations."""
 
     def __post_init__(self) -> None:
