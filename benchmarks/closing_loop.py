@@ -3,9 +3,11 @@
     python benchmarks/closing_loop.py runs/loop --plans 10
 
 Round 0: an embedding of the plans. Each further round controls 60 starts that no plan and no test has, adds
-the episodes that arrived to the demonstrations, and trains again on all of them. After every round the same
-20 starts are controlled. Rows are added to results/control/closing_loop.csv; what the folder holds is not
-made again. `--table` prints the table of docs/control.md.
+demonstrations, and trains again on all of them. `--learn arrivals` adds the episodes that arrived;
+`--learn visits` adds a plan from a random state of each episode, or, where it did not arrive, from its last
+state. After every round the same 20 starts are controlled. Rows are added to
+results/control/closing_loop.csv; what the folder holds is not made again. `--table` prints the table of
+docs/control.md.
 """
 
 import argparse
@@ -17,17 +19,19 @@ from csv_rows import read_rows, write_rows
 
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
-from planspace.control.runs import DEMOS, control_into
+from planspace.control.runs import DEMOS, EPISODES, control_into
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.load import load_demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_embedding
+from planspace.errors import PlanspaceError
 from planspace.physics.replay import replay
 from planspace.plan.demonstrations import plan_demos
+from planspace.tasks.problem import Box
 
 RESULTS = Path(__file__).parents[1] / "results" / "control" / "closing_loop.csv"
-COLUMNS = ("problem", "plans", "round", "demonstrations", "horizon_s", "success", "return_mean")
+COLUMNS = ("problem", "learn", "plans", "round", "demonstrations", "horizon_s", "success", "return_mean")
 LEARN_STARTS, TEST_STARTS, LEARN_SEED, TEST_SEED, SAMPLES, EPISODE_S = 60, 20, 1000, 0, 128, 8.0
 LEARN_HORIZON_S = 0.32
 
@@ -40,6 +44,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="where all that is made is kept")
     parser.add_argument("--problem", default="cartpole-swingup", help="a task with a planning problem")
     parser.add_argument("--plans", type=int, default=60, metavar="N", help="number of plans")
+    parser.add_argument("--learn", choices=("arrivals", "visits"), default="visits")
     parser.add_argument("--rounds", type=int, default=2, metavar="N", help="rounds after the first embedding")
     parser.add_argument("--horizons", nargs="+", type=float, default=[0.16, 0.32], metavar="S")
     parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
@@ -53,11 +58,13 @@ def main() -> None:
     plant = Plant.find(options.problem)
     folder = options.folder / f"{options.problem}-{options.plans}"
     demos = plan_demos(plant.problem, options.plans, out=folder / "plans")
+    folder, more = folder / options.learn, arrivals if options.learn == "arrivals" else visits
     for number in range(options.rounds + 1):
         embedding = fit_embedding(demos, out=folder / f"embedding-{number}")
         for horizon in options.horizons:
             key = {
                 "problem": options.problem,
+                "learn": options.learn,
                 "plans": str(options.plans),
                 "round": str(number),
                 "horizon_s": str(horizon),
@@ -78,14 +85,36 @@ def test(plant: Plant, embedding: Embedding, horizon: float, out: Path) -> dict[
     return {"success": f"{found.success:.2f}", "return_mean": f"{found.return_mean:.1f}"}
 
 
-def more(plant: Plant, embedding: Embedding, demos: Demos, out: Path, seed: int) -> Demos:
+def arrivals(plant: Plant, embedding: Embedding, demos: Demos, out: Path, seed: int) -> Demos:
     """Control other starts, and add the episodes that arrived to the demonstrations."""
-    config = ControlConfig(horizon_s=LEARN_HORIZON_S, samples=SAMPLES)
-    control_into(plant, embedding, config, out, num=LEARN_STARTS, seed=seed, episode_s=EPISODE_S)
+    control(plant, embedding, out, seed)
     controlled = load_demos(out / DEMOS)
     episodes = [fine(plant, controlled.episode(i)) for i in range(len(controlled))]
-    old = [demos.episode(i) for i in range(len(demos))]
-    return Demos.from_episodes(demos.info, [*old, *episodes])
+    return Demos.from_episodes(demos.info, [*map(demos.episode, range(len(demos))), *episodes])
+
+
+def visits(plant: Plant, embedding: Embedding, demos: Demos, out: Path, seed: int) -> Demos:
+    """Control other starts, and plan from states that were visited."""
+    control(plant, embedding, out, seed)
+    visited, rng = load_demos(out / EPISODES), np.random.default_rng(seed)
+    episodes = [demos.episode(i) for i in range(len(demos))]
+    for i in range(len(visited)):
+        states = visited.episode(i).states
+        state = states[rng.integers(len(states) // 4)] if visited.success[i] else states[-1]
+        problem = replace(plant.problem, start=Box(tuple(state), tuple(state)))
+        try:
+            plan = plan_demos(problem, 1, out=out / "plans" / str(i), workers=0, verbose=False)
+        except PlanspaceError as error:
+            print(f"no plan from {state}: {error}", flush=True)
+        else:
+            episodes.append(plan.episode(0))
+    return Demos.from_episodes(demos.info, episodes)
+
+
+def control(plant: Plant, embedding: Embedding, out: Path, seed: int) -> None:
+    """Control the starts that are learned from."""
+    config = ControlConfig(horizon_s=LEARN_HORIZON_S, samples=SAMPLES)
+    control_into(plant, embedding, config, out, num=LEARN_STARTS, seed=seed, episode_s=EPISODE_S)
 
 
 def fine(plant: Plant, episode: Episode) -> Episode:
@@ -101,11 +130,13 @@ def table(rows: list[dict[str, str]]) -> str:
     """Success by round, one column a horizon."""
     horizons = sorted({row["horizon_s"] for row in rows}, key=float)
     lines = [
-        f"| problem | plans | round | demonstrations | {' | '.join(f'{h} s' for h in horizons)} |",
-        f"|---|---|---|---|{'---|' * len(horizons)}",
+        "| problem | learns from | plans | round | demonstrations | "
+        + " | ".join(f"{h} s" for h in horizons)
+        + " |",
+        f"|---|---|---|---|---|{'---|' * len(horizons)}",
     ]
-    cells = {(r["problem"], r["plans"], r["round"], r["horizon_s"]): r for r in rows}
-    for key in dict.fromkeys(cell[:3] for cell in cells):
+    cells = {(r["problem"], r["learn"], r["plans"], r["round"], r["horizon_s"]): r for r in rows}
+    for key in dict.fromkeys(cell[:4] for cell in cells):
         found = [cells.get((*key, h)) for h in horizons]
         known = next(row for row in found if row)
         shown = ["" if row is None else f"{float(row['success']):.0%}" for row in found]
