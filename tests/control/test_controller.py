@@ -9,10 +9,11 @@ import pytest
 
 from planspace import Controller, Embedding, PlanspaceError, UsageError, load_problem, make_env
 from planspace.control.config import ControlConfig
-from planspace.control.costs import support_note
+from planspace.control.costs import make_cost, support_note
 from planspace.control.episodes import run_episode
 from planspace.control.methods import METHODS
 from planspace.control.plant import Plant
+from planspace.embed.time_head import TimeHead
 from planspace.mjcf.assets import ASSETS
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.problem import Problem
@@ -130,6 +131,24 @@ def test_goals_can_be_drawn() -> None:
 def test_what_does_not_fit_is_refused(problem: str, config: ControlConfig, says: str) -> None:
     with pytest.raises(PlanspaceError, match=says):
         Controller(problem, config=config)
+
+
+def test_the_cost_time_needs_a_time_head(embedding: Embedding) -> None:
+    with pytest.raises(UsageError, match="planspace embed --time-head"):
+        Controller("cartpole-swingup", embedding, ControlConfig(cost="time"))
+
+
+def test_the_cost_time_is_the_time_to_the_goal(embedding: Embedding) -> None:
+    rng = np.random.default_rng(0)
+    width = embedding.inputs(np.zeros(4)).shape[-1]
+    head = TimeHead([rng.standard_normal((8, width)).astype(np.float32)], [np.zeros(8, dtype=np.float32)])
+    timed, plant = replace(embedding, time_head=head), Plant.find("cartpole-swingup")
+    config = ControlConfig(cost="time", effort_weight=0.0, terminal_weight=0.0, cost_points=2)
+    cost = make_cost(plant, config, np.empty(0), timed)
+    states = rng.standard_normal((3, 5, 4))
+    found = cost(states, np.zeros((3, 4, 1)))
+    times = timed.time_to_go(states[:, [2, 4]], np.zeros(4)).mean(axis=1)
+    np.testing.assert_allclose(found / found[0], times / times[0])
 
 
 def test_an_embedding_of_other_joints_is_refused(embedding: Embedding) -> None:

@@ -9,9 +9,9 @@ from planspace.control.splines import SplineOrder
 from planspace.errors import check_setting
 from planspace.seams import check_fits
 
-CostName = Literal["z", "reward", "raw"]
-"""What a controller minimises: the distance to the goal in z, minus the task's reward, or the distance of the
-standardised states, which are what the encoder reads."""
+CostName = Literal["z", "time", "reward", "raw"]
+"""What a controller minimises: the distance to the goal in z, the time to it, minus the task's reward, or the
+distance of the standardised states, which are what the encoder reads."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,9 @@ class ControlConfig:
     samples: int = 256
     """Candidates in each round."""
     cost: CostName = "z"
-    """What it minimises: `z`, the distance to the goal in the embedding; `reward`, minus the task's reward;
-    or `raw`, the distance to the goal in the standardised states that the embedding reads."""
+    """What it minimises: `z`, the distance to the goal in the embedding; `time`, the time to the goal, which
+    needs an embedding with a time head; `reward`, minus the task's reward; or `raw`, the distance to the goal
+    in the standardised states that the embedding reads."""
     knots: int = 4
     """Knots of a candidate's spline."""
     spline: SplineOrder = "linear"

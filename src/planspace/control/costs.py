@@ -15,6 +15,8 @@ from planspace.tasks.problem import Goal
 Cost = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(states [sample, time, state], controls [sample, step, control]) to the cost of each sample; the first
 state is the present one."""
+Measure = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""States [..., state] and [..., state] to the distance or time from the first to the second [...]."""
 Distance = Callable[[np.ndarray], np.ndarray]
 """States [..., state] to their distance from the goal [...]."""
 
@@ -29,7 +31,8 @@ def make_cost(plant: Plant, config: ControlConfig, target: np.ndarray, embedding
         embedding: computes z.
 
     Raises:
-        UsageError: the cost needs an embedding and there is none, or the embedding reads other states.
+        UsageError: the cost needs an embedding, or its time head, and there is none, or the embedding reads
+            other states.
     """
     if config.cost == "reward":
         return RewardCost(plant, target)
@@ -37,26 +40,36 @@ def make_cost(plant: Plant, config: ControlConfig, target: np.ndarray, embedding
         raise UsageError(
             f"the cost {config.cost} needs an embedding: give --embedding DIR, or --cost reward."
         )
+    if config.cost == "time" and embedding.time_head is None:
+        raise UsageError(
+            "the cost time needs an embedding with a time head: train it with `planspace embed --time-head`."
+        )
     columns = list(embedding.columns_of(plant.space.names))
-    space = embedding.encode if config.cost == "z" else embedding.inputs
+    between = {"z": embedding.distance, "raw": _input_distance(embedding), "time": embedding.time_to_go}
+    measure = between[config.cost]
+    goal = plant.goal(target)
     return DistanceCost(
-        plant, config, goal_distance(plant, plant.goal(target), lambda x: space(x[..., columns]))
+        plant, config, goal_distance(plant, goal, lambda a, b: measure(a[..., columns], b[..., columns]))
     )
 
 
-def goal_distance(plant: Plant, goal: Goal, encode: Callable[[np.ndarray], np.ndarray]) -> Distance:
-    """Distance from the nearest state of the goal region, in the space of an encoder."""
+def goal_distance(plant: Plant, goal: Goal, measure: Measure) -> Distance:
+    """Distance to the nearest state of the goal region."""
     free = goal.weights == 0
     if not free.any() and not goal.half.any():
-        z = encode(goal.center)
-        return lambda states: norm(encode(states) - z)
+        return lambda states: measure(states, goal.center)
 
     def distance(states: np.ndarray) -> np.ndarray:
         off = plant.space.difference(states, goal.center)
         nearest = np.where(free, off, np.clip(off, -goal.half, goal.half))
-        return norm(encode(states) - encode(plant.space.integrate(goal.center, nearest)))
+        return measure(states, plant.space.integrate(goal.center, nearest))
 
     return distance
+
+
+def _input_distance(embedding: Embedding) -> Measure:
+    """Distance between two standardised states, which are what the encoder reads."""
+    return lambda a, b: norm(embedding.inputs(a) - embedding.inputs(b))
 
 
 def support_note(plant: Plant, config: ControlConfig, embedding: Embedding | None) -> str | None:
@@ -66,7 +79,7 @@ def support_note(plant: Plant, config: ControlConfig, embedding: Embedding | Non
         One sentence; None if the goal lies inside, goals are drawn, or the cost is not a distance in z.
     """
     support = None if embedding is None else embedding.support
-    if embedding is None or support is None or config.cost != "z" or plant.task.target_size:
+    if embedding is None or support is None or config.cost not in ("z", "time") or plant.task.target_size:
         return None
     columns = list(embedding.columns_of(plant.space.names))
     away = float(support.distance(embedding.inputs(plant.goal(np.empty(0)).center[columns])))
