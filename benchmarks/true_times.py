@@ -28,6 +28,7 @@ import value_iteration as vi
 
 from planspace.demos.load import load_demos
 from planspace.physics.simulator import Simulator
+from planspace.physics.space import StateSpace
 from planspace.plan.config import PlanConfig
 from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import Plan
@@ -271,7 +272,7 @@ def _chunks(rows: np.ndarray) -> list[np.ndarray]:
     return [rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK)]
 
 
-def _difference(space: object, center: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _difference(space: StateSpace, center: np.ndarray, states: np.ndarray) -> np.ndarray:
     return space.difference(states, center)
 
 

@@ -12,10 +12,10 @@ Sweeps go on until no value changes:
     V(x) = 0 in the goal region, else min over u of dt + V(x after dt), or `LONGEST` if that state is invalid.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -183,7 +183,7 @@ def _move(
     return ends, valid
 
 
-def _interpolate(value: Array, offsets: tuple[int, ...], corner: Array, part: Array) -> Array:
+def _interpolate(value: Any, offsets: Sequence[int], corner: Any, part: Any) -> Any:
     total = 0.0
     for offset, ends in zip(offsets, product((0, 1), repeat=part.shape[-1]), strict=True):
         weight = 1.0
@@ -211,4 +211,4 @@ def _solve(
     def unfinished(carry: tuple[Array, Array, Array]) -> Array:
         return (carry[1] > TOLERANCE_S) & (carry[2] < MAX_SWEEPS)
 
-    return jax.lax.while_loop(unfinished, sweep, (value, jnp.inf, 0))[0]
+    return jax.lax.while_loop(unfinished, sweep, (value, jnp.array(jnp.inf), jnp.array(0)))[0]

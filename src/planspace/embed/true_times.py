@@ -179,10 +179,7 @@ def _subsets(truth: Truth) -> dict[str, np.ndarray]:
 
 def _time_to_go(embedding: Embedding, states: np.ndarray, goals: np.ndarray) -> np.ndarray | None:
     """The embedding's own estimate [s]; None if it has none."""
-    estimate = getattr(embedding, "time_to_go", None)
-    if estimate is None:
-        return None
     try:
-        return np.asarray(estimate(states, goals), dtype=float)
+        return np.asarray(embedding.time_to_go(states, goals), dtype=float)
     except PlanspaceError:
         return None
