@@ -297,16 +297,6 @@ def test_tables_of_embeddings() -> None:
 
 
 @pytest.mark.usefixtures("benchmarks")
-def test_table_of_shortest_times() -> None:
-    import csv_rows
-    import true_times_table
-
-    lines = true_times_table.table(csv_rows.read_rows(true_times_table.FILE))
-    section = sections("docs/embeddings.md", 3)["Shortest times"]
-    assert len(lines) >= 10 and [line for line in lines if line not in section] == []
-
-
-@pytest.mark.usefixtures("benchmarks")
 def test_table_of_candidates() -> None:
     import embedding_ablation
 

@@ -102,3 +102,12 @@ def test_random_states_are_valid_and_different(rng: np.random.Generator) -> None
     states = plant.random_states(50, rng)
     assert len(np.unique(states, axis=0)) == 50
     assert (np.abs(states[:, [0, 2, 3]]) <= [1.0, 3.0, 10.0]).all()
+
+
+def test_the_table_of_the_docs_is_that_of_the_results() -> None:
+    import csv_rows
+    import true_times_table
+
+    lines = true_times_table.table(csv_rows.read_rows(true_times_table.FILE))
+    text = (Path(__file__).parents[2] / "docs" / "embeddings.md").read_text()
+    assert len(lines) >= 10 and "\n".join(lines) in text
