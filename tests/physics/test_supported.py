@@ -19,7 +19,7 @@ LATE = '<motor name="late" joint="j" delay="0.02" nsample="20"/>'
             USER,
             "the actuator 1 has an activation that .* use one of integrator, filter, filterexact, muscle",
         ),
-        (BODY, LATE, "the actuator 'late' has a delay"),
+        (BODY, LATE, "the actuator 'late' has a delay of 0.02 s"),
     ],
 )
 def test_a_hidden_state_is_refused_by_name(body: str, actuator: str, message: str) -> None:

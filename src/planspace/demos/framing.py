@@ -42,7 +42,7 @@ class Frame:
         radii = np.minimum(model.geom_rbound[shown], model.stat.extent)[:, None]
         data, corners = mujoco.MjData(model), []
         for state in states[:: max(1, len(states) // MAX_STATES)]:
-            space.write(state, data.qpos, data.qvel, data.act)
+            space.write_data(state, data)
             mujoco.mj_kinematics(model, data)
             centers = data.geom_xpos[shown]
             corners += [(centers - radii).min(axis=0), (centers + radii).max(axis=0)]

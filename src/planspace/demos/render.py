@@ -96,7 +96,7 @@ def _render(columns: Sequence[Demos], titles: Sequence[str], file: Path, config:
             for states in zip(*poses, strict=True):
                 pictures = []
                 for title, state in zip(titles, states, strict=True):
-                    space.write(state, data.qpos, data.qvel, data.act)
+                    space.write_data(state, data)
                     mujoco.mj_forward(model, data)
                     pictures.append(_with_title(shoot(data), title))
                 yield np.concatenate(pictures, axis=1)

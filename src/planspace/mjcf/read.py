@@ -56,7 +56,7 @@ def read_model(file: ModelFile) -> ModelSource:
 def read_keyframe(
     source: ModelSource, joints: Sequence[str], keyframe: str
 ) -> tuple[list[float], list[float], list[float]]:
-    """Read the positions and velocities of joints, and all activations, in a keyframe of a model.
+    """Read the positions and velocities of joints, and all activations and delayed controls, in a keyframe.
 
     Raises:
         UsageError: the model has no such keyframe.
@@ -76,8 +76,15 @@ def read_keyframe(
     return (
         [x for name in joints for x in positions[name]],
         [v for name in joints for v in velocities[name]],
-        [a for name, a in zip(owners, activations, strict=True) if name in left],
+        [a for name, a in zip(owners, activations, strict=True) if name in left]
+        + _delayed_controls(model, key, left),
     )
+
+
+def _delayed_controls(model: mujoco.MjModel, key: int, left: set[str]) -> list[float]:
+    """The controls that delays hold back in a keyframe, whose control was applied all the time before."""
+    delayed = [i for i in range(model.nu) if model.actuator_delay[i] > 0 and model.actuator(i).name in left]
+    return [u for i in delayed for u in [float(model.key_ctrl[key, i])] * int(model.actuator_history[i, 0])]
 
 
 def _find_keyframe(model: mujoco.MjModel, name: str) -> int:

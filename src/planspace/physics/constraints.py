@@ -106,6 +106,6 @@ class Constraints:
 
     def _forward(self, state: np.ndarray) -> None:
         mujoco.mj_resetData(self._model, self._data)
-        self._space.write(state, self._data.qpos, self._data.qvel, self._data.act)
+        self._space.write_data(state, self._data)
         with stepping():
             mujoco.mj_fwdPosition(self._model, self._data)

@@ -74,3 +74,22 @@ def mirrored_features(
                 images.append(flipped)
         column += {"circle": 2, "rotation": 4}.get(kind, 1)
     return images[1:]
+
+
+def uniform_states(
+    layout: Sequence[Part],
+    low: Float[np.ndarray, " state"],
+    high: Float[np.ndarray, " state"],
+    rng: np.random.Generator,
+    num: int,
+) -> Float[np.ndarray, "num state"]:
+    """Draw states uniformly between bounds; see `StateSpace.sample`."""
+    states = np.empty((num, len(low)))
+    for s, _, kind in layout:
+        if kind == "circle":
+            states[:, s] = rng.uniform(-np.pi, np.pi, num)
+        elif kind == "rotation":
+            states[:, s : s + 4] = quaternion.sample(rng, num)
+        else:
+            states[:, s] = rng.uniform(low[s], high[s], num)
+    return states

@@ -21,15 +21,13 @@ def advance(
 ) -> Float[np.ndarray, " state"]:
     """Apply a control for a number of steps and return the state after them."""
     if space.kinematic:
-        before = space.read(data.qpos, data.qvel, data.act)
-        space.write(
-            space.integrate(before, control * num_steps * model.opt.timestep), data.qpos, data.qvel, data.act
-        )
+        before = space.read_data(data)
+        space.write_data(space.integrate(before, control * num_steps * model.opt.timestep), data)
     else:
         data.ctrl[:] = control
         with stepping():
             mujoco.mj_step(model, data, nstep=num_steps)
-    return space.read(data.qpos, data.qvel, data.act)
+    return space.read_data(data)
 
 
 def replay(
@@ -56,7 +54,7 @@ def replay(
         PlanspaceError: an interval has more than `MAX_REPEATS` steps, or MuJoCo fails.
     """
     data = mujoco.MjData(model)
-    space.write(start, data.qpos, data.qvel, data.act)
+    space.write_data(start, data)
     states = [np.array(start, dtype=float)]
     own_step = model.opt.timestep
     try:

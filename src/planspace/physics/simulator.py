@@ -86,6 +86,8 @@ class Simulator:
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
         self._act = self._batch.bind("act")
+        self._history = self._batch.bind("history")
+        self._time = self._batch.bind("time")
         self._ctrl = self._batch.bind("ctrl")
         self._warmstart = self._batch.bind("qacc_warmstart")
         if validity.forbidden_contacts != "none":
@@ -101,8 +103,11 @@ class Simulator:
         """Set the states of all simulations, or of those in `ids`, and clear the solver's warm start."""
         index = slice(None) if ids is None else ids
         qpos, qvel, act = self._qpos[index], self._qvel[index], self._act[index]
-        self.space.write(states, qpos, qvel, act)
+        history = self._history[index]
+        self.space.write(states, qpos, qvel, act, history)
         self._qpos[index], self._qvel[index], self._act[index] = qpos, qvel, act
+        if self.space.activations.delays.size:
+            self._history[index], self._time[index] = history, 0.0
         self._warmstart[index] = 0.0
         self._batch.warning[index] = 0
 
@@ -199,7 +204,7 @@ class Simulator:
 
     def _read(self, num: int) -> Float[np.ndarray, "sim state"]:
         """The states of the first `num` simulations."""
-        return self.space.read(self._qpos[:num], self._qvel[:num], self._act[:num])
+        return self.space.read(self._qpos[:num], self._qvel[:num], self._act[:num], self._history[:num])
 
 
 def control_bounds(model: mujoco.MjModel, space: StateSpace) -> tuple[np.ndarray, np.ndarray]:

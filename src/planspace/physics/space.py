@@ -1,7 +1,7 @@
 """The state space of some joints of a MuJoCo model.
 
 A state is the positions of the chosen joints, as in qpos, followed by their velocities, as in qvel, and by
-the activations of all actuators, as in act:
+the activations of all actuators, as in act, and the controls that delays hold back (`physics.delays`):
 
     slide, limited hinge    R, bounded           1 position,  1 velocity
     unlimited hinge         SO(2), an angle      1 position,  1 velocity
@@ -37,7 +37,7 @@ from planspace.physics.joints import (
     read_ball_range,
     read_bounds,
 )
-from planspace.physics.layout import Part, euclidean_features, mirrored_features, state_layout
+from planspace.physics.layout import Part, euclidean_features, mirrored_features, state_layout, uniform_states
 
 DEFAULT_VELOCITY_BOUND = 50.0
 """Bound on velocities [m/s, rad/s]; that of the 2020 planning problems."""
@@ -119,7 +119,7 @@ class StateSpace:
 
     @property
     def num_activations(self) -> int:
-        """Number of activations; 0 if no actuator has one."""
+        """Number of activations, with the controls that delays hold back; 0 if no actuator has one."""
         return len(self.activations.names)
 
     @property
@@ -268,21 +268,13 @@ class StateSpace:
         self, rng: np.random.Generator, num: int, speed: Float[np.ndarray, " dof"]
     ) -> Float[np.ndarray, "num state"]:
         """Draw states uniformly within the bounds, with velocities between `-speed` and `speed`."""
-        states, (low, high) = np.empty((num, self.size)), self.ranges(speed)
-        for s, _, kind in self.layout:
-            if kind == "circle":
-                states[:, s] = rng.uniform(-np.pi, np.pi, num)
-            elif kind == "rotation":
-                states[:, s : s + 4] = quaternion.sample(rng, num)
-            else:
-                states[:, s] = rng.uniform(low[s], high[s], num)
-        return states
+        return uniform_states(self.layout, *self.ranges(speed), rng, num)
 
     def ranges(
         self, speed: Float[np.ndarray, " dof"]
     ) -> tuple[Float[np.ndarray, " state"], Float[np.ndarray, " state"]]:
         """Lower and upper bound of each value in a state, with velocities between `-speed` and `speed`."""
-        speed, (_, low, high) = speed[: 0 if self.kinematic else None], self.activations
+        speed, (_, low, high, *_) = speed[: 0 if self.kinematic else None], self.activations
         return np.concatenate([self.low, -speed, low]), np.concatenate([self.high, speed, high])
 
     def in_bounds(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
@@ -292,7 +284,9 @@ class StateSpace:
         if not self.kinematic:
             inside = inside & (np.abs(velocities) <= self.velocity_bound).all(axis=-1)
         inside = inside & np.isfinite(states[..., self.velocities.stop :]).all(axis=-1)  # MuJoCo limits them
-        for (s, _), limit in zip(self._rotations, self._rotation_ranges, strict=True):
+        kinds = zip(self.kinds, self.ball_range, strict=True)
+        limits = [limit for kind, limit in kinds if kind in ("ball", "free")]
+        for (s, _), limit in zip(self._rotations, limits, strict=True):
             if np.isfinite(limit):
                 angle = np.linalg.norm(quaternion.log(states[..., s : s + 4]), axis=-1)
                 inside = inside & (angle <= limit)
@@ -305,22 +299,34 @@ class StateSpace:
             states[..., s : s + 4] = quaternion.normalise(states[..., s : s + 4])
         return states
 
-    def write(
-        self, states: Float[np.ndarray, "*batch state"], qpos: np.ndarray, qvel: np.ndarray, act: Any = None
-    ) -> None:
-        """Write states into arrays shaped like MuJoCo's qpos, qvel and, if there are activations, act."""
-        qpos[..., list(self.qpos_index)] = states[..., : self.num_positions]
-        qvel[..., list(self.qvel_index)] = 0.0 if self.kinematic else states[..., self.velocities]
-        if self.num_activations:
-            act[...] = states[..., -self.num_activations :]
+    def write(self, states: Float[np.ndarray, "*batch state"], *parts: Any) -> None:
+        """Write states into arrays shaped like MuJoCo's qpos, qvel and, if used, act and history."""
+        parts[0][..., list(self.qpos_index)] = states[..., : self.num_positions]
+        parts[1][..., list(self.qvel_index)] = 0.0 if self.kinematic else states[..., self.velocities]
+        first, last = self.velocities.stop, self.size - self.activations.delays.size
+        if first < last:
+            parts[2][...] = states[..., first:last]
+        if self.activations.delays.size:
+            self.activations.delays.write(states[..., last:], parts[3])
 
-    def read(self, qpos: np.ndarray, qvel: np.ndarray, act: Any = None) -> Float[np.ndarray, "*batch state"]:
-        """Read states from arrays shaped like MuJoCo's qpos, qvel and, if there are activations, act."""
-        positions = qpos[..., list(self.qpos_index)]
+    def read(self, *parts: Any) -> Float[np.ndarray, "*batch state"]:
+        """Read states from arrays shaped like MuJoCo's qpos, qvel and, if used, act and history."""
+        positions = parts[0][..., list(self.qpos_index)]
         if self.kinematic:
             return positions
-        velocities = qvel[..., list(self.qvel_index)]
-        return np.concatenate([positions, velocities, *([act] if self.num_activations else [])], axis=-1)
+        more = [parts[2]] if self.num_activations > self.activations.delays.size else []
+        more += [self.activations.delays.read(parts[3])] if self.activations.delays.size else []
+        return np.concatenate([positions, parts[1][..., list(self.qvel_index)], *more], axis=-1)
+
+    def write_data(self, state: Float[np.ndarray, " state"], data: Any) -> None:
+        """Set the state of an `MjData`; its time becomes 0 if there are delays."""
+        self.write(state, data.qpos, data.qvel, data.act, data.history)
+        if self.activations.delays.size:
+            data.time = 0.0
+
+    def read_data(self, data: Any) -> Float[np.ndarray, " state"]:
+        """Read the state of an `MjData`."""
+        return self.read(data.qpos, data.qvel, data.act, data.history)
 
     @cached_property
     def layout(self) -> tuple[Part, ...]:
@@ -330,11 +336,6 @@ class StateSpace:
     @cached_property
     def _rotations(self) -> tuple[tuple[int, int], ...]:
         return tuple((s, t) for s, t, kind in self.layout if kind == "rotation")
-
-    @cached_property
-    def _rotation_ranges(self) -> tuple[float, ...]:
-        pairs = zip(self.kinds, self.ball_range, strict=True)
-        return tuple(limit for kind, limit in pairs if kind in ("ball", "free"))
 
     @cached_property
     def _plain_states(self) -> list[int]:

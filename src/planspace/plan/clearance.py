@@ -49,7 +49,7 @@ class Clearance:
         self._space = space
         self._batch = Batch(model, BATCH, threads)
         self._sensors = self._batch.bind("sensordata")
-        self._parts = [self._batch.bind(name) for name in ("qpos", "qvel", "act")]
+        self._parts = [self._batch.bind(name) for name in ("qpos", "qvel", "act", "history")]
 
     def distances(self, states: Float[np.ndarray, "step state"]) -> Float[np.ndarray, "step pair"]:
         """The distance of every pair in each state [m]: negative if they overlap, at most `REACH`."""

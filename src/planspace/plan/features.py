@@ -31,7 +31,7 @@ class Features:
         if self._bodies:
             with stepping():
                 self._batch = Batch(model, BATCH, simulator.threads)
-            self._parts = [self._batch.bind(name) for name in ("qpos", "qvel", "act")]
+            self._parts = [self._batch.bind(name) for name in ("qpos", "qvel", "act", "history")]
             self._positions = self._batch.bind("xpos")
 
     def __call__(self, states: Float[np.ndarray, "batch state"]) -> Float[np.ndarray, "batch feature"]:

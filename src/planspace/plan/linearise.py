@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
-from planspace.mjcf.hold import activated
 from planspace.physics.activations import INTEGRATOR
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
@@ -140,7 +139,7 @@ def at_rest(simulator: Simulator, goal: Goal) -> Goal:
     high = np.concatenate([space.activations.high[free], simulator.control_high])
     center, inputs = goal.center.copy(), _forceless_inputs(simulator, goal.center)
     found = np.concatenate(
-        [inputs[activated(simulator.model)[free]], forceless_control(simulator, goal.center)]
+        [inputs[space.activations.actuators[free]], forceless_control(simulator, goal.center)]
     )
     found = np.clip(found, low, high)
     for _ in range(EQUILIBRIUM_ITERATIONS):

@@ -199,7 +199,7 @@ class Pipeline:
 def _regulated_steps(query: Query, controls: np.ndarray) -> np.ndarray:
     """What the regulator does in the steps after a plan."""
     data = mujoco.MjData(query.model)
-    query.space.write(query.start, data.qpos, data.qvel, data.act)
+    query.space.write_data(query.start, data)
     state = query.start
     for control in controls:
         state = advance(query.model, data, query.space, control)

@@ -26,7 +26,7 @@ def replay_plan(query: Query, controls: Float[np.ndarray, "step control"]) -> Tr
         is forbidden, never arrives, or the goal cannot be held.
     """
     space, goal, data = query.space, query.goal, mujoco.MjData(query.model)
-    space.write(query.start, data.qpos, data.qvel, data.act)
+    space.write_data(query.start, data)
     states = [np.array(query.start)]
     for control in controls:
         if goal.reached(states[-1]):

@@ -53,7 +53,7 @@ class _Landed(NamedTuple):
 def has_contacts(query: Query, controls: Float[np.ndarray, "step control"]) -> bool:
     """Whether bodies touch while a plan is replayed."""
     data = mujoco.MjData(query.model)
-    query.space.write(query.start, data.qpos, data.qvel, data.act)
+    query.space.write_data(query.start, data)
     for control in controls:
         advance(query.model, data, query.space, control)
         if data.ncon:

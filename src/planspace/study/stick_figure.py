@@ -37,7 +37,7 @@ def stick_film(demos: Demos) -> StickFilm | None:
         return None
     poses = []
     for state in episode.states[which]:
-        space.write(state, data.qpos, data.qvel, data.act)
+        space.write_data(state, data)
         mujoco.mj_forward(model, data)
         poses.append([_ends(model, data, g) for g in moving])
     lines = np.array(poses)  # [pose, line, end, axis]

@@ -74,7 +74,7 @@ def _check_sizes(problem: Problem, space: StateSpace, where: str) -> None:
 
 def _check_activations(key: str, box: Box, space: StateSpace, where: str) -> None:
     low, high = (np.array(side[space.velocities.stop :]) for side in (box.low, box.high))
-    names, least, most = space.activations
+    names, least, most = space.activations[:3]
     for i in np.flatnonzero((low < least) | (high > most)):
         raise PlanspaceError(
             f"{where}: {key}: {names[i]!r} must lie between {least[i]:g} and {most[i]:g}, as the model says; "

@@ -39,7 +39,7 @@ class JointReader:
         """Return the current state."""
         found = mujoco_of(self.env)
         assert found is not None
-        return self.space.read(found[1].qpos, found[1].qvel, found[1].act)
+        return self.space.read_data(found[1])
 
 
 StateReader = AttributeReader | JointReader

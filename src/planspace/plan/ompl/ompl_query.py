@@ -143,7 +143,7 @@ class OMPLQuery:
 
         def propagate(before: Any, action: Any, duration: float, after: Any) -> None:
             steps = max(1, round(duration / self.dt))
-            self.space.write(self.read(before), data.qpos, data.qvel, data.act)
+            self.space.write_data(self.read(before), data)
             data.qacc_warmstart[:] = 0.0
             reached = advance(model, data, self.space, np.array([action[i] for i in range(size)]), steps)
             self.write(reached, self.clock(before) + steps * self.dt, after)
