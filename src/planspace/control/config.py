@@ -32,7 +32,7 @@ class ControlConfig:
     """Knots of a candidate's spline."""
     spline: SplineOrder = "linear"
     """How controls run between knots."""
-    noise: float = 0.5
+    noise: float = 1.0
     """Standard deviation of the candidates' knots, in halves of the control's range."""
     noise_spread: float = 1.0
     """The noise of each candidate is divided by a number between 1 and this, so that some act finely."""
