@@ -1,12 +1,14 @@
-"""Compare costs of receding-horizon control: distance in z, in the state, the reward, and controls of z.
+"""Compare costs of receding-horizon control.
 
     python benchmarks/control.py runs/control
 
-For each problem, 60 plans are made and encoders are trained on them: the default, one on shuffled plans and
-one with random weights. For each cost and horizon, the same 20 starts are controlled; an episode succeeds if
-it is at the goal for its whole last second. All cells use the default settings with 128 samples; their noise
-was chosen on the swing-up at 0.32 s and on the acrobot, from other starts (seed 5). No reward is used except
-by the cost `reward`.
+The costs are the distance in z, the time to go, the reward, and for comparison the distance in the
+standardised state and in the z of other encoders. For each problem, 60 plans and their search trees are made,
+and encoders are trained on them: the default with a time head, one on shuffled plans and one with random
+weights. For each cost and horizon, the same 20 starts are controlled; an episode succeeds if it is at the goal
+for its whole last second. All cells use the default settings with 128 samples; their noise was chosen on the
+swing-up at 0.32 s and on the acrobot, from other starts (seed 5). No reward is used except by the cost
+`reward`.
 
 Plans, encoders and episodes are kept in the folder, so the same command goes on. Rows are added to
 results/control/costs.csv cell by cell. `--table` prints the table of docs/control.md.
@@ -22,6 +24,7 @@ from planspace.control.plant import Plant
 from planspace.control.runs import control_into
 from planspace.embed.embedding import Embedding
 from planspace.embed.fit import fit_embedding
+from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_demos
 
 RESULTS = Path(__file__).parents[1] / "results" / "control" / "costs.csv"
@@ -36,7 +39,14 @@ PROBLEMS = {
     "arm": 6.0,
 }
 """Tasks, or problems without one, and the length of an episode [s]."""
-COSTS = {"z": "variational", "raw": "variational", "reward": "", "shuffled": "shuffled", "random": "random"}
+COSTS = {
+    "z": "variational",
+    "time": "variational",
+    "raw": "variational",
+    "reward": "",
+    "shuffled": "shuffled",
+    "random": "random",
+}
 """Cost and the objective of the encoder that it needs."""
 HORIZONS = (0.16, 0.32, 0.64, 1.0, 1.5)
 COLUMNS = (
@@ -89,7 +99,7 @@ def measure(folder: Path, name: str, cost: str, horizon: float, regulator: bool)
     config = ControlConfig(
         horizon_s=horizon,
         samples=SAMPLES,
-        cost=cost if cost in ("raw", "reward") else "z",
+        cost=cost if cost in ("time", "raw", "reward") else "z",
         regulator=regulator,
     )
     out = folder / f"{name}-{cost}-{horizon}{'' if regulator else '-alone'}"
@@ -105,8 +115,11 @@ def measure(folder: Path, name: str, cost: str, horizon: float, regulator: bool)
 def encoder_of(folder: Path, plant: Plant, objective: str) -> Embedding:
     """The encoder of a problem's plans; both are made once."""
     problem = plant.problem
-    demos = plan_demos(problem, NUM_PLANS, out=folder / f"{problem.name}-plans")
-    return fit_embedding(demos, objective, out=folder / f"{problem.name}-{objective}")
+    planning = PlanConfig.for_problem(problem, keep_trees=True)
+    demos = plan_demos(problem, NUM_PLANS, config=planning, out=folder / f"{problem.name}-trees")
+    head = objective == "variational"
+    out = folder / f"{problem.name}-{objective}{'-time' if head else ''}"
+    return fit_embedding(demos, objective, time_head=head, out=out)
 
 
 def table(rows: list[dict[str, str]]) -> str:
