@@ -6,8 +6,8 @@ The costs are the distance in z, the time to go, the reward, and for comparison 
 standardised state and in the z of other encoders. For each problem, 60 plans and their search trees are made,
 and encoders are trained on them: the default with a time head, one on shuffled plans and one with random
 weights. For each cost and horizon, the same 20 starts are controlled. An episode succeeds if it is at the
-goal for its whole last second. All cells use the default settings with 128 samples; their noise was chosen on the
-swing-up at 0.32 s and on the acrobot, from other starts (seed 5). No reward is used except by the cost
+goal for its whole last second. All cells use the default settings with 128 samples. Their noise was chosen on
+the swing-up at 0.32 s and on the acrobot, from other starts (seed 5). No reward is used except by the cost
 `reward`.
 
 Plans, encoders and episodes are kept in the folder, so the same command goes on. Rows are added to
