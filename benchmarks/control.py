@@ -130,7 +130,10 @@ def table(rows: list[dict[str, str]]) -> str:
         f"|---|---|---|{'---|' * len(horizons)}",
     ]
     cells = {(r["problem"], r["cost"], r["regulator"], r["horizon_s"]): r["success"] for r in rows}
-    for problem, cost, regulator in dict.fromkeys(key[:3] for key in cells):
+    order = {name: place for place, name in enumerate((*PROBLEMS, *COSTS))}
+    for problem, cost, regulator in sorted(
+        {key[:3] for key in cells}, key=lambda k: [order[n] for n in k[:2]]
+    ):
         shown = [cells.get((problem, cost, regulator, h)) for h in horizons]
         values = " | ".join("" if value is None else f"{float(value):.0%}" for value in shown)
         lines.append(f"| {problem} | {cost} | {'yes' if regulator == 'True' else 'no'} | {values} |")
