@@ -23,6 +23,7 @@ def test_a_name_of_a_task_and_a_problem_means_the_task() -> None:
         find_task("arm-kinematic")
 
 
+@pytest.mark.slow
 def test_policies_of_a_problem_are_trained_and_played(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

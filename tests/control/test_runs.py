@@ -24,6 +24,7 @@ def control(
     return control_into(PENDULUM, None, config, out, num=num, seed=0, episode_s=seconds, workers=workers)
 
 
+@pytest.mark.slow
 def test_a_run_continues_and_ends_like_one_that_was_not_interrupted(tmp_path: Path) -> None:
     whole = control(tmp_path / "whole", 3)
     control(tmp_path / "parts", 1)
