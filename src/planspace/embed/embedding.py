@@ -13,7 +13,7 @@ from planspace.embed.about import About
 from planspace.embed.inputs import Inputs
 from planspace.embed.mlp import Layer, forward
 from planspace.embed.support import Support
-from planspace.embed.time_head import TimeHead, quasimetric
+from planspace.embed.time_head import TimeHead, TimeInput, quasimetric
 from planspace.errors import PlanspaceError, UsageError
 from planspace.storage.arrays import Arrays
 from planspace.summary import html_summary, text_summary
@@ -176,8 +176,21 @@ class Embedding:
                 "`fit_embedding(..., time_head=True)`."
             )
         head = self.time_head
-        a, b = (head.features(self.inputs(self._checked(x)), self.encode(x)) for x in (start, goal))
+        a, b = (head.features(self.time_inputs(x, head.reads)) for x in (start, goal))
         return quasimetric(a, b)
+
+    def time_inputs(
+        self, states: Float[np.ndarray, "*batch state"], reads: TimeInput
+    ) -> Float[np.ndarray, "*batch read"]:
+        """What a time head reads of states.
+
+        Raises:
+            PlanspaceError: the states have the wrong number of columns.
+        """
+        if reads == "z":
+            return self.encode(states)
+        inputs = self.inputs(self._checked(states))
+        return inputs if reads == "state" else np.concatenate([inputs, self.encode(states)], axis=-1)
 
     def outside_support(self, states: Float[np.ndarray, "*batch state"]) -> Bool[np.ndarray, "*batch"]:
         """Tell which states lie outside the region that the demonstrations cover, where z is a guess.

@@ -35,19 +35,14 @@ class TimeHead:
     reads: TimeInput = "state"
     """What the network reads of a state."""
 
-    def features(
-        self, inputs: Float[np.ndarray, "*batch input"], z: Float[np.ndarray, "*batch z"]
-    ) -> Float[np.ndarray, "*batch feature"]:
+    def features(self, read: Float[np.ndarray, "*batch read"]) -> Float[np.ndarray, "*batch feature"]:
         """H of some states.
 
         Args:
-            inputs: the encoder's inputs.
-            z: the encoder's outputs.
+            read: what the network reads of them; see `Embedding.time_inputs`.
         """
-        x = {"state": (inputs,), "z": (z,), "both": (inputs, z)}[self.reads]
         layers = [(weight.T, bias) for weight, bias in zip(self.weights, self.biases, strict=True)]
-        read = np.concatenate(x, axis=-1).astype(self.weights[0].dtype)
-        return forward(layers, read, lambda hidden: np.maximum(hidden, 0.0))
+        return forward(layers, read.astype(self.weights[0].dtype), lambda hidden: np.maximum(hidden, 0.0))
 
 
 def quasimetric(

@@ -119,11 +119,9 @@ def make_pairs(
         after.append(first + np.arange(1, len(tree)))
         seconds.append(tree.durations[1:])
         first += len(tree)
-    everything = np.concatenate(states)
-    inputs, z = embedding.inputs(everything), embedding.encode(everything)
-    read = {"state": (inputs,), "z": (z,), "both": (inputs, z)}[config.inputs]
+    read = embedding.time_inputs(np.concatenate(states), config.inputs)
     return Pairs(
-        x=jnp.asarray(np.concatenate(read, axis=-1), dtype=jnp.float32),
+        x=jnp.asarray(read, dtype=jnp.float32),
         before=jnp.asarray(np.concatenate(before)),
         after=jnp.asarray(np.concatenate(after)),
         seconds=jnp.asarray(np.concatenate(seconds), dtype=jnp.float32),
