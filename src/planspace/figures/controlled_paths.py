@@ -11,7 +11,10 @@ from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.figures.projection import principal_components
 from planspace.figures.style import COLOURS, END_COLOUR
+from planspace.figures.thinning import thin_paths
 
+MAX_POINTS = 20_000
+"""About this many points of a group of paths are drawn."""
 PLAN_COLOUR = "#b4bcc8"
 CONTROLLED, PLANNED = "controlled episode", "plan"
 
@@ -77,7 +80,8 @@ def _encoded(embedding: Embedding, demos: Demos) -> list[Float[np.ndarray, "time
 
 
 def _add_lines(figure: go.Figure, paths: Sequence[np.ndarray], name: str, colour: str) -> None:
-    """Add all paths as one line with gaps."""
+    """Add all paths as one line with gaps; long paths without some of their points."""
+    paths = [path[rows] for path, rows in zip(paths, thin_paths(paths, MAX_POINTS), strict=True)]
     gap = np.full((1, paths[0].shape[1]), np.nan)
     whole = np.concatenate([part for path in paths for part in (np.round(path, 4), gap)])
     columns = dict(

@@ -13,9 +13,12 @@ from matplotlib.collections import LineCollection
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.figures.style import COLOURMAP, MAX_VECTOR
+from planspace.figures.thinning import thin_paths
 
 MAX_DRAWN = 100
 """Only this many demonstrations are drawn, starting with the first; more would hide each other."""
+MAX_POINTS = 100_000
+"""About this many points are drawn on each side."""
 DIAGONAL_COLOUR = "black"
 Path = Float[np.ndarray, "_time _axis"]
 
@@ -67,9 +70,12 @@ def plot_distances(
         (right_axes, "standardised state", states),
     ):
         curves = _curves(paths, times)[:MAX_DRAWN]
+        num_points = sum(map(len, curves))
+        kept = thin_paths(curves, MAX_POINTS)
+        curves = [curve[rows] for curve, rows in zip(curves, kept, strict=True)]
         lines = LineCollection(curves, cmap=COLOURMAP, norm=norm, linewidths=0.8, alpha=0.7)
         lines.set_array(durations[:MAX_DRAWN])
-        lines.set_rasterized(sum(map(len, curves)) > MAX_VECTOR)
+        lines.set_rasterized(num_points > MAX_VECTOR)
         axes.add_collection(lines)
         _draw_diagonal(axes, float(durations.max() / durations.mean()))
         axes.set_title(title, loc="left")

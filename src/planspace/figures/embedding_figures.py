@@ -11,7 +11,7 @@ from planspace.embed.measurement import split_of
 from planspace.embed.saved_embedding import LOG
 from planspace.embed.training_log import read_log
 from planspace.figures.distance import plot_distance_against_time
-from planspace.figures.interactive_paths import MAX_INTERACTIVE, paths_html
+from planspace.figures.interactive_paths import MAX_INTERACTIVE, interactive_points, paths_html
 from planspace.figures.paths import embedded_paths
 from planspace.figures.plot_paths import plot_paths
 from planspace.figures.style import save_figure
@@ -39,7 +39,8 @@ def draw_embedding(embedding: Embedding, folder: Path, demos: Demos, out: Path) 
     training = _training_figure(embedding, folder) if (folder / LOG).exists() else None
     make_folder(out)
     save_figure(plot_paths(embedded_paths(embedding, demos, episodes)), out, "paths")
-    page = paths_html(embedded_paths(embedding, demos, episodes, MAX_INTERACTIVE))
+    most_points = interactive_points(embedding.state_dim)
+    page = paths_html(embedded_paths(embedding, demos, episodes, MAX_INTERACTIVE, most_points))
     write_bytes(out / "paths.html", page.encode())
     save_figure(plot_distance_against_time(embedding, demos, episodes), out, "distance")
     if training is not None:

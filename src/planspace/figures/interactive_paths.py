@@ -13,6 +13,8 @@ from planspace.figures.style import END_COLOUR, PLOTLY_CONFIG
 
 MAX_INTERACTIVE = 200
 """Recommended number of demonstrations in an interactive figure; more make it slow."""
+MAX_NUMBERS = 500_000
+"""Recommended number of numbers in an interactive figure; each takes about eight bytes of the page."""
 CAMERA = {"eye": {"x": 1.6, "y": -1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}}
 PAGE = """<!doctype html>
 <html lang="en">
@@ -51,6 +53,11 @@ def paths_html(paths: Paths) -> str:
     return PAGE.format(title=html.escape(paths.title), gesture=gesture, picture=picture)
 
 
+def interactive_points(num_columns: int) -> int:
+    """Recommended number of states in an interactive figure of states with some columns."""
+    return MAX_NUMBERS // (num_columns + 7)  # coordinates, colours, number, time and time left
+
+
 def interactive_paths(paths: Paths) -> go.Figure:
     """Draw paths in z that can be rotated and that show the state under the pointer."""
     figure = go.Figure(_lines(paths))
@@ -65,9 +72,9 @@ def interactive_paths(paths: Paths) -> go.Figure:
 def _lines(paths: Paths) -> Any:
     """All paths as one line with gaps; each point knows its demonstration, time and state."""
     gap, rows, colours, points = [None], [], [], []
-    for i, (number, episode) in enumerate(zip(paths.numbers, paths.episodes, strict=True)):
+    for i, number in enumerate(paths.numbers):
         left = paths.time_left(i)
-        row = np.column_stack([np.full(len(left), number), episode.times, left, episode.states])
+        row = np.column_stack([np.full(len(left), number), paths.times[i], left, paths.states[i]])
         rows += [*np.round(row, 4).tolist(), gap * row.shape[1]]
         colours += [*np.round(left, 4).tolist(), 0.0]
         points += [*np.round(paths.points[i], 4).tolist(), gap * len(paths.labels)]

@@ -6,13 +6,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.figures.projection import principal_components
+from planspace.figures.thinning import thin_paths
 
 MAX_DRAWN = 100
 """Default number of demonstrations in a figure; more would hide each other."""
+MAX_POINTS = 20_000
+"""Default number of states in a figure; of longer paths, some states are left out."""
 
 
 @dataclass(frozen=True)
@@ -23,10 +25,14 @@ class Paths:
     """The states that the embedding reads."""
     numbers: tuple[int, ...]
     """The number of each demonstration in its dataset."""
-    episodes: tuple[Episode, ...]
-    """The demonstrations, with the states that the embedding reads."""
+    times: tuple[Float[np.ndarray, " _time"], ...]
+    """Time of each point [s]."""
+    states: tuple[Float[np.ndarray, "_time state"], ...]
+    """The state of each point: the numbers that the embedding reads."""
     points: tuple[Float[np.ndarray, "_time axis"], ...]
     """The coordinates of each demonstration."""
+    num_states: int
+    """Number of states before thinning."""
     labels: tuple[str, ...]
     """Labels of the two or three axes."""
     title: str
@@ -42,16 +48,19 @@ class Paths:
     @property
     def longest(self) -> float:
         """The longest duration [s]."""
-        return max(float(e.times[-1]) for e in self.episodes)
+        return max(float(times[-1]) for times in self.times)
 
     def time_left(self, i: int) -> Float[np.ndarray, " time"]:
         """Time left at each point of the i-th path [s]."""
-        times = self.episodes[i].times
-        return times[-1] - times
+        return self.times[i][-1] - self.times[i]
 
 
 def embedded_paths(
-    embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"], most: int = MAX_DRAWN
+    embedding: Embedding,
+    demos: Demos,
+    episodes: Int[np.ndarray, " demo"],
+    most: int = MAX_DRAWN,
+    most_points: int = MAX_POINTS,
 ) -> Paths:
     """Embed demonstrations and choose the axes to draw them on.
 
@@ -63,6 +72,7 @@ def embedded_paths(
         demos: the demonstrations.
         episodes: the numbers of the demonstrations to draw.
         most: only this many are drawn, starting with the first.
+        most_points: about this many states are drawn; see `planspace.figures.thinning`.
 
     Raises:
         PlanspaceError: the demonstrations lack a state that the embedding reads.
@@ -79,15 +89,25 @@ def embedded_paths(
     else:
         z, fractions = principal_components(z, 3)
         labels = tuple(f"z component {k + 1} ({_percent(f)})" for k, f in enumerate(fractions))
+    points = np.split(z, np.cumsum([len(e.states) for e in parts])[:-1])
+    kept = thin_paths(points, most_points)
     return Paths(
         info=demos.info,
         numbers=tuple(map(int, drawn)),
-        episodes=parts,
-        points=tuple(np.split(z, np.cumsum([len(e.states) for e in parts])[:-1])),
+        times=tuple(e.times[k] for e, k in zip(parts, kept, strict=True)),
+        states=tuple(e.states[k] for e, k in zip(parts, kept, strict=True)),
+        points=tuple(p[k] for p, k in zip(points, kept, strict=True)),
+        num_states=len(z),
         labels=labels,
-        title=_title(len(drawn), len(episodes), demos.info.problem, embedding.z_dim),
+        title=_title(len(drawn), len(episodes), demos.info.problem, embedding.z_dim)
+        + thinned_note(sum(map(len, kept)), len(z)),
         against_time=embedding.z_dim == 1,
     )
+
+
+def thinned_note(num_drawn: int, num: int) -> str:
+    """The end of a title that says how many points were left out; empty if all are drawn."""
+    return "" if num_drawn == num else f", {num_drawn:,} of {num:,} states drawn"
 
 
 def _title(num_drawn: int, num: int, problem: str, z_dim: int) -> str:

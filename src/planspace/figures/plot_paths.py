@@ -25,7 +25,7 @@ def plot_paths(paths: Paths) -> matplotlib.figure.Figure:
     collection = Line3DCollection if paths.is_3d else LineCollection
     lines = collection(list(segments), cmap=COLOURMAP, norm=scale.norm, linewidths=1.2, alpha=0.9)
     lines.set_array(left)
-    lines.set_rasterized(len(segments) > MAX_VECTOR)
+    lines.set_rasterized(paths.num_states > MAX_VECTOR)
     axes.add_collection(lines)
     ends = np.stack([p[-1] for p in paths.points])
     (mark,) = axes.plot(*ends.T, "o", color=END_COLOUR, markersize=4, label="end of a demonstration")

@@ -8,7 +8,7 @@ import numpy as np
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.figures.demos import plot_demos
-from planspace.figures.interactive_paths import MAX_INTERACTIVE, interactive_paths
+from planspace.figures.interactive_paths import MAX_INTERACTIVE, interactive_paths, interactive_points
 from planspace.figures.learning_curves import plot_curves
 from planspace.figures.paths import embedded_paths
 from planspace.figures.style import save_figure
@@ -44,7 +44,13 @@ def write_report(
         demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
         paths=embedded(
             interactive_paths(
-                embedded_paths(embedding, demos, np.arange(len(demos)), MAX_INTERACTIVE)
+                embedded_paths(
+                    embedding,
+                    demos,
+                    np.arange(len(demos)),
+                    MAX_INTERACTIVE,
+                    interactive_points(embedding.state_dim),
+                )
             ).update_layout(**plain_layout())
         ),
         curves=embedded(interactive_curves(curves)),
