@@ -1,7 +1,7 @@
 """Durations and times of plans, compared with those that dynobench has of iDb-A* and of RRT + optimisation.
 
     git clone https://github.com/quimortiz/dynobench        (MIT licence)
-    python benchmarks/dynobench_problems.py FOLDER [--only NAME] [--seeds N] [--seconds S]
+    python benchmarks/dynobench_problems.py FOLDER [--only NAME] [--seeds N] [--seconds S] [--defaults]
 
 FOLDER holds SYSTEM.model.yaml, SYSTEM.PROBLEM.yaml and solutions.csv (system, problem, planner, time_ms,
 cost_s: the time of a planner's last improvement and the duration of its plan). See `dynobench.py` for the
@@ -13,7 +13,8 @@ CPU. Each search has a seed of its own. Every improvement is recorded with its w
 from before the model is compiled. One thread; timings made while other programs run are upper bounds.
 
 Each problem and seed is a row of results/planning/dynobench.csv. A row that the file has is not measured
-again. `--table` prints the table of docs/planning.md.
+again. `--defaults` plans with the default settings of `planspace plan` instead of SETTINGS below. `--table`
+prints the tables of docs/planning.md, one for each settings.
 """
 
 import argparse
@@ -71,31 +72,34 @@ def main() -> None:
     parser.add_argument("--only", default="", help="plan only for problems whose name contains this")
     parser.add_argument("--seeds", type=int, default=NUM_SEEDS, help="number of seeds per problem")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="CPU seconds per problem and seed")
+    parser.add_argument("--defaults", action="store_true", help="plan with default settings")
     parser.add_argument("--out", type=Path, default=RESULTS, help="CSV file of the results")
     options = parser.parse_args()
     rows = read_rows(options.out)
     if options.table:
-        print("\n".join(table(rows)))
+        for own in (False, True):
+            print("\n".join(table([row for row in rows if bool(row["settings"]) == own])), end="\n\n")
         return
     if options.folder is None:
         parser.error("give the folder with the files of dynobench")
     for seed in range(options.seeds):
         for name in problem_names(options.folder):
-            done = {(row["problem"], row["seed"]) for row in rows}
-            if options.only in name and (name, str(seed)) not in done:
-                rows.append(measure(options.folder, name, seed, options.seconds))
+            settings = {} if options.defaults else SETTINGS[name.partition(".")[0]]
+            done = {order(row) for row in rows}
+            if options.only in name and (bool(settings), name, seed) not in done:
+                rows.append(measure(options.folder, name, seed, options.seconds, settings))
                 print(*rows[-1].values(), sep="  ", flush=True)
-                write_rows(options.out, COLUMNS, sorted(rows, key=problem_and_seed))
+                write_rows(options.out, COLUMNS, sorted(rows, key=order))
 
 
-def problem_and_seed(row: Row) -> tuple[str, int]:
-    """The order of the rows."""
-    return row["problem"], int(row["seed"])
+def order(row: Row) -> tuple[bool, str, int]:
+    """The order of the rows: those at default settings first."""
+    return bool(row["settings"]), row["problem"], int(row["seed"])
 
 
-def measure(folder: Path, name: str, seed: int, seconds: float) -> dict[str, str]:
+def measure(folder: Path, name: str, seed: int, seconds: float, settings: dict[str, Any]) -> dict[str, str]:
     """Search until the CPU time is over, and list the improvements."""
-    problem, settings = load_problem(load_dynobench(folder, name)), SETTINGS[name.partition(".")[0]]
+    problem = load_problem(load_dynobench(folder, name))
     searches, cpu_s, improvements = search(problem, settings, seed, seconds)
     known = published(folder)[name]
     return {
