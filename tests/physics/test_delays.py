@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import planspace as ps
 from planspace.demos.load import load_demos
 from planspace.errors import UsageError
 from planspace.mjcf.compile import load_model
@@ -90,3 +91,20 @@ def test_a_delayed_pendulum_is_planned(tmp_path: Path) -> None:
     keyed = PROBLEM.replace("{low: [-3.14, -0.1], high: [3.14, 0.1]}", "{keyframe: up}")
     (tmp_path / "late.yaml").write_text(keyed.replace("goal: [0, 0]", "goal: [1, 0]"))
     assert load_problem(tmp_path / "late.yaml").start.low == (0, 0, 0, 0.5, 0.5, 0.5, 0.25, 0.25)
+
+
+def test_an_environment_delays_controls_as_the_model_does(tmp_path: Path, rng: np.random.Generator) -> None:
+    (tmp_path / "late.xml").write_text(MODEL.format(integrator="implicitfast", count=3, interp="zoh"))
+    (tmp_path / "late.yaml").write_text(PROBLEM + "task: {control_step_s: 0.02}\n")
+    env = ps.make_env(tmp_path / "late.yaml")
+    _, info = env.reset(seed=0)
+    first, controls = info["state"], rng.uniform(-1, 1, (20, 2)).astype(np.float32)
+    states = [env.step(control)[4]["state"] for control in controls]
+    model = late()
+    space = StateSpace.from_model(model, ["hinge"])
+    np.testing.assert_allclose(
+        np.array([first, *states]),
+        replay(model, space, first, controls.astype(float), np.arange(21) * 0.02),
+        rtol=0,
+        atol=1e-12,
+    )

@@ -27,8 +27,9 @@ TASKS: dict[str, Task] = shipped_tasks()
 
 
 def task_names() -> list[str]:
-    """Return the names that `find_task` knows: those of `TASKS` and of the shipped problems."""
-    return sorted({*TASKS, *_problem_names()})
+    """Return the names that `find_task` takes: those of `TASKS`, and of the problems that can be tasks."""
+    kinematic = {path.stem for path in ASSETS.glob("*.yaml") if "kinematic: true" in path.read_text()}
+    return sorted({*TASKS, *_problem_names()} - kinematic)
 
 
 def _problem_names() -> list[str]:
