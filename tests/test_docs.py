@@ -23,7 +23,7 @@ PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "_build"
 EXTRAS = {
     "tutorial.md": ("stable_baselines3", "imageio"),
     "howto/own-environment.md": ("imageio",),  # gymnasium[mujoco]
-    "howto/demonstrations.md": ("minari",),
+    "howto/demonstrations.md": ("minari", "pyarrow"),
     "howto/agents.md": ("torch",),
 }
 SMALLER = {

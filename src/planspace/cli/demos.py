@@ -156,8 +156,8 @@ class Export:
 
     folder: DemosFolder
     target: Positional[Annotated[str, arg(metavar="TARGET")]]
-    """FILE.npz, FILE.csv, FILE.hdf5 (robomimic's layout), or minari:ID, which is stored in Minari's own
-    folder; or another format that `demos import` reads and planspace writes."""
+    """FILE.npz, FILE.csv, FILE.hdf5 (robomimic's layout), lerobot:DIR (a folder in LeRobot's layout), or
+    minari:ID, which is stored in Minari's own folder."""
 
     def __call__(self) -> None:
         """Export the dataset."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from planspace.demos.formats.d4rl import read_d4rl
 from planspace.demos.formats.format import Format, ReadFn
 from planspace.demos.formats.hdf5_file import hdf5_module, open_hdf5
-from planspace.demos.formats.hdf5_subprocess import read_in_subprocess
+from planspace.demos.formats.reader_subprocess import read_in_subprocess
 from planspace.demos.formats.robomimic import read_robomimic
 from planspace.demos.formats.robomimic_export import write_robomimic
 from planspace.demos.recording import Imported, ImportOptions, check_options, source_name
@@ -58,7 +58,7 @@ def read_hdf5(sources: Sequence[str], info: StateInfo | None, options: ImportOpt
     """
     check_options(options, source_name(sources), "state", "dt", "filter-key")
     if options.untrusted:
-        return read_in_subprocess(sources, info, options)
+        return read_in_subprocess("hdf5", sources, info, options)
     layouts = {find_layout(Path(source)) for source in sources}
     if len(layouts) > 1:
         names = " and ".join(sorted(layout.name for layout in layouts))

@@ -12,6 +12,7 @@ time steps and stores the result; the reader does not have to. `npz.py` is a goo
 from planspace.demos.formats.csv import CSV
 from planspace.demos.formats.format import Format
 from planspace.demos.formats.hdf5 import HDF5
+from planspace.demos.formats.lerobot import LEROBOT
 from planspace.demos.formats.minari import MINARI
 from planspace.demos.formats.npz import NPZ
 from planspace.demos.formats.plans_2020 import PLANS_2020_JSON, PLANS_2020_OUT
@@ -21,6 +22,7 @@ FORMATS: dict[str, Format] = {
     "csv": CSV,
     "minari": MINARI,
     "hdf5": HDF5,
+    "lerobot": LEROBOT,
     "plans-2020-json": PLANS_2020_JSON,
     "plans-2020-out": PLANS_2020_OUT,
 }

@@ -1,7 +1,7 @@
-"""Untrusted HDF5 files: read in a subprocess with limits on memory and time.
+"""Untrusted sources: read in a subprocess with limits on memory and time.
 
-If HDF5's reader or MuJoCo crashes, hangs or runs out of memory, this process raises an error. The subprocess
-leaves a dataset folder, which is safe to read.
+If the reader of HDF5 or Parquet, or MuJoCo, crashes, hangs or runs out of memory, this process raises an
+error. The subprocess leaves a dataset folder, which is safe to read.
 """
 
 import os
@@ -22,21 +22,25 @@ from planspace.storage.limited import ask, serve
 CPU_S, WALL_S = 600, 1200
 
 
-def read_in_subprocess(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Imported:
-    """Call `read_hdf5` in a subprocess.
+def read_in_subprocess(
+    name: str, sources: Sequence[str], info: StateInfo | None, options: ImportOptions
+) -> Imported:
+    """Call the reader of a format in a subprocess.
 
     Args:
-        sources: at least one file.
+        name: the key of the format in `FORMATS`.
+        sources: at least one file or folder.
         info: the states of the planning problem; None if there is no problem.
-        options: how to read the files.
+        options: how to read the sources.
 
     Raises:
-        UsageError: an option does not fit the files.
-        PlanspaceError: the files cannot be read, or not within the limits.
+        UsageError: an option does not fit the sources.
+        PlanspaceError: the sources cannot be read, or not within the limits.
     """
     staging = tempfile.TemporaryDirectory(prefix="planspace-")
     try:
         request = {
+            "format": name,
             "sources": [os.path.abspath(source) for source in sources],
             "info": info.plain_with_files() if info else None,
             "options": asdict(replace(options, untrusted=False)),
@@ -44,10 +48,10 @@ def read_in_subprocess(sources: Sequence[str], info: StateInfo | None, options: 
         }
         failure = (
             f"{source_name(sources)} cannot be read within {CPU_S} s of CPU time and "
-            f"{MEMORY_BYTES >> 30} GiB of memory, or crashes the reader of HDF5."
+            f"{MEMORY_BYTES >> 30} GiB of memory, or crashes the reader of its format."
         )
         limits = {"memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S, "wall_s": WALL_S}
-        answer = ask("planspace.demos.formats.hdf5_subprocess", request, **limits, failure=failure)
+        answer = ask("planspace.demos.formats.reader_subprocess", request, **limits, failure=failure)
         stored = StoredDemos(staging.name)
     except BaseException:
         staging.cleanup()
@@ -61,11 +65,11 @@ def _episodes(stored: StoredDemos, staging: tempfile.TemporaryDirectory) -> Iter
 
 
 def _work(request: dict[str, Any]) -> dict[str, Any]:
-    """Read the files of one request into a dataset folder."""
-    from planspace.demos.formats.hdf5 import read_hdf5
+    """Read the sources of one request into a dataset folder."""
+    from planspace.demos.formats.registry import FORMATS
 
     info = parse_info(request["info"]) if request["info"] else None
-    imported = read_hdf5(request["sources"], info, ImportOptions(**request["options"]))
+    imported = FORMATS[request["format"]].read(request["sources"], info, ImportOptions(**request["options"]))
     DemoFolder(Path(request["out"]), imported.info, {}).extend(imported.episodes)
     return {"notices": imported.notices}
 
