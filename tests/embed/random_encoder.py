@@ -6,22 +6,26 @@ import jax.random as jr
 import numpy as np
 
 from planspace.embed.embedding import Embedding, LinearMap
-from planspace.embed.inputs import Inputs, InputType
+from planspace.embed.inputs import Inputs, InputType, Quaternion
 from planspace.embed.networks import GaussianNetwork
 
 TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.1], [0.0, 0.2, 2.0]])
 
 
 def random_encoder(
-    form: InputType, circular: tuple[int, ...], hidden: tuple[int, ...] = (64, 64)
+    form: InputType,
+    circular: tuple[int, ...],
+    hidden: tuple[int, ...] = (64, 64),
+    quaternions: tuple[Quaternion, ...] = (),
+    names: tuple[str, ...] = ("x", "theta", "xd", "phi"),
 ) -> Embedding:
     """An encoder with random weights; the mean of x is large relative to its standard deviation."""
-    num = 4 + (len(circular) if form == "trig" else 0)
+    num = len(names) + (len(circular) + 2 * len(quaternions) if form == "trig" else 0)
     mean = np.linspace(0.1, 0.7, num) if form == "trig" else np.zeros(num)
-    if 0 not in circular:
+    if 0 not in circular and not quaternions:
         mean[0] *= 7000.1
     deviation = np.linspace(0.3, 2.0, num) if form == "trig" else np.ones(num)
-    inputs = Inputs(("x", "theta", "xd", "phi"), ("m", "rad", "m/s", "rad"), circular, form, mean, deviation)
+    inputs = Inputs(names, ("",) * len(names), circular, form, mean, deviation, quaternions)
     net = GaussianNetwork(num, 3, hidden, 0.0, key=jr.key(1))
     rng = np.random.default_rng(2)
     weights = [np.asarray(w) for w in net.weights]
@@ -36,17 +40,26 @@ ENCODERS = [
     random_encoder("trig", (3, 1)),
     random_encoder("trig", (0, 1, 2, 3), ()),
     replace(random_encoder("trig", (1,)), linear_map=None),
+    random_encoder("trig", (), quaternions=((0, 1, 2, 3),)),
+    random_encoder("trig", (), quaternions=((3, 0, 1, 2),)),
 ]
+ROTATING = random_encoder(
+    "trig",
+    (0, 9),
+    quaternions=((2, 3, 4, 5), (13, 10, 11, 12)),
+    names=("yaw", "x", "w", "i", "j", "k", "v", "y", "z", "roll", "qx", "qy", "qz", "qw"),
+)
+"""Angles, plain numbers, a quaternion with w first and one with w last."""
 
 
 def random_states(embedding: Embedding, num: int) -> np.ndarray:
     """States of the size that the encoder expects; angles over several turns."""
     rng = np.random.default_rng(0)
-    states = rng.normal(size=(num, 4))
+    states = rng.normal(size=(num, embedding.state_dim))
     if embedding.inputs.form == "trig":
         circular = list(embedding.inputs.circular_columns)
         states[:, circular] = rng.uniform(-50, 50, (num, len(circular)))
-        if 0 not in circular:
+        if 0 not in circular and not embedding.inputs.quaternions:
             states[:, 0] += embedding.inputs.mean[0]
     return states.astype(np.float32)
 

@@ -95,6 +95,13 @@ def _inputs(embedding: Embedding) -> str:
             if inputs.form == "trig"
             else " So an angle and the same angle one full turn later are different states."
         )
+    for w, x, y, z in inputs.quaternions:
+        how += f" {', '.join(_code(inputs.names[c]) for c in (w, x, y, z))} are a quaternion (w, x, y, z)" + (
+            ", which is replaced by the first two columns of its rotation matrix, so that its sign does not "
+            "matter."
+            if inputs.form == "trig"
+            else "; with another sign it is another state."
+        )
     return f"## Inputs\n\n{_table(['', 'state', 'unit', 'on a circle'], rows)}\n\n{how}"
 
 

@@ -38,7 +38,7 @@ class FitConfig:
     """Number of dimensions of z; the paper has 3 and 10."""
     inputs: InputType = "trig"
     """`raw`: numbers as they are. `standard`: standardised, for plans in which windings matter. `trig`: sin
-    and cos of angles on a circle, then standardised."""
+    and cos of angles on a circle, rotation matrices of quaternions, then standardised."""
     hidden: tuple[int, ...] = PAPER_HIDDEN
     """Units of the hidden layers of encoder and decoder."""
     spacings: Annotated[tuple[int, ...], arg(help_behavior_hint="(default: any three states)")] = ()

@@ -251,11 +251,11 @@ class Embedding:
     @property
     def hash(self) -> str:
         """SHA-256 of inputs and weights, without `about`."""
-        digest = hashlib.sha256(
-            repr(
-                (self.inputs.names, self.inputs.circular_columns, self.inputs.form, self.sigma_floor)
-            ).encode()
-        )
+        inputs = self.inputs
+        described = (inputs.names, inputs.circular_columns, inputs.form, self.sigma_floor)
+        digest = hashlib.sha256(repr(described).encode())
+        if inputs.quaternions:
+            digest.update(repr(inputs.quaternions).encode())
         for name, array in sorted(self.arrays().items()):
             digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()

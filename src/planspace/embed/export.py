@@ -15,6 +15,7 @@ import planspace
 from planspace.embed.embedding import Embedding
 from planspace.embed.float32_encoder import Float32Encoder, Layer, float32_encoder
 from planspace.errors import PlanspaceError
+from planspace.physics.quaternion import rotation_columns
 from planspace.storage.files import make_folder, write_bytes
 
 OPSET, IR_VERSION = 17, 8
@@ -64,6 +65,8 @@ class _Graph:
         return name
 
     def constant(self, name: str, value: np.ndarray) -> str:
+        if any(constant.name == name for constant in self.constants):
+            return name
         self.constants.append(self._onnx.numpy_helper.from_array(np.ascontiguousarray(value), name))
         return name
 
@@ -94,14 +97,48 @@ def _build(onnx: ModuleType, embedding: Embedding) -> Any:
 
 def _features(graph: _Graph, encoder: Float32Encoder) -> str:
     """Add the inputs before standardising; return their name."""
-    if not len(encoder.circular):
+    parts = []
+
+    def gather(columns: np.ndarray, of: str, name: str) -> str:
+        return graph.node("Gather", INPUT, graph.constant(of, columns), name=name, axis=1)
+
+    if len(encoder.circular):
+        angles = gather(encoder.circular, "circular", "angles")
+        parts += [graph.node("Sin", angles, name="sin"), graph.node("Cos", angles, name="cos")]
+    if encoder.quaternions.size:
+        numbers = [gather(row, f"columns_{n}", n) for n, row in zip("wxyz", encoder.quaternions, strict=True)]
+        parts += [number.name for number in rotation_columns(*(_Number(graph, name) for name in numbers))]
+    if not parts:
         return INPUT
-    angles = graph.node("Gather", INPUT, graph.constant("circular", encoder.circular), name="angles", axis=1)
-    parts = [graph.node("Sin", angles, name="sin"), graph.node("Cos", angles, name="cos")]
     if len(encoder.straight):
-        columns = graph.constant("straight", encoder.straight)
-        parts.insert(0, graph.node("Gather", INPUT, columns, name="numbers", axis=1))
+        parts.insert(0, gather(encoder.straight, "straight", "numbers"))
     return graph.node("Concat", *parts, name="features", axis=1)
+
+
+class _Number:
+    """A result in a graph; arithmetic with it adds nodes."""
+
+    def __init__(self, graph: _Graph, name: str):
+        self._graph, self.name = graph, name
+
+    def _with(self, operator: str, other: "_Number | float") -> "_Number":
+        if not isinstance(other, _Number):
+            constant = self._graph.constant(f"constant_{other:g}", np.array([other], np.float32))
+            other = _Number(self._graph, constant)
+        name = f"rotation_{len(self._graph.nodes)}"
+        return _Number(self._graph, self._graph.node(operator, self.name, other.name, name=name))
+
+    def __add__(self, other: "_Number | float") -> "_Number":
+        return self._with("Add", other)
+
+    def __sub__(self, other: "_Number") -> "_Number":
+        return self._with("Sub", other)
+
+    def __mul__(self, other: "_Number") -> "_Number":
+        return self._with("Mul", other)
+
+    def __truediv__(self, other: "_Number") -> "_Number":
+        return self._with("Div", other)
 
 
 def _model(onnx: ModuleType, graph: _Graph, embedding: Embedding) -> Any:
@@ -155,16 +192,19 @@ def _compare(embedding: Embedding, data: bytes) -> None:
 
 
 def _probe_states(embedding: Embedding) -> Float[np.ndarray, "row state"]:
-    """Draw random float32 states: angles over several turns, other numbers distributed as in training."""
+    """Draw random float32 states.
+
+    Angles are uniform over several turns, quaternions have any sign and length, and other numbers are
+    distributed as in training.
+    """
     inputs, rng = embedding.inputs, np.random.default_rng(0)
     states = rng.normal(size=(NUM_CHECKED, embedding.state_dim))
-    for column in range(embedding.state_dim):
-        place = inputs.columns.index(column)
-        if inputs.form == "trig" and column in inputs.circular_columns:
-            turns = CHECKED_TURNS * 2 * np.pi
+    turns = CHECKED_TURNS * 2 * np.pi
+    for i, (column, on_manifold) in enumerate(zip(inputs.columns, inputs.on_manifold, strict=True)):
+        if not on_manifold:
+            states[:, column] = inputs.mean[i] + inputs.std[i] * states[:, column]
+        elif column in inputs.circular_columns and i == inputs.columns.index(column):
             states[:, column] = rng.uniform(-turns, turns, NUM_CHECKED)
-        else:
-            states[:, column] = inputs.mean[place] + inputs.std[place] * states[:, column]
     return states.astype(np.float32)
 
 

@@ -29,6 +29,7 @@ from planspace.embed.inputs import Inputs, check_numbers
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
 from planspace.embed.objective import Objective, as_objective, summary_of, title_of
 from planspace.embed.principal import principal_map
+from planspace.embed.rotations import find_quaternions
 from planspace.embed.samples import Samples, make_samples
 from planspace.embed.saved_embedding import CARD, DESCRIPTION, LOG, load_embedding
 from planspace.embed.steps import check_loss
@@ -214,6 +215,7 @@ class _Prepared:
 
 def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
     split = demos.split(split_seed)
+    quaternions = find_quaternions(demos.info, config.columns or demos.info.names, config.inputs)
     demos = demos.select(config.columns or demos.info.names)
     check_numbers("the demonstrations' states", demos.states)
     lengths = np.diff(demos.offsets)
@@ -224,7 +226,7 @@ def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
                 f"{name} split has {lengths[part].max()}. Give longer ones, more of them, or another --seed."
             )
     info, states = demos.info, demos.states[demos.rows(split["train"])]
-    inputs = Inputs.fit(states, info.names, info.units, info.circular_columns, config.inputs)
+    inputs = Inputs.fit(states, info.names, info.units, info.circular_columns, config.inputs, quaternions)
     solution = config.objective.closed_form(inputs, states, config.z_dim)
     samples = None
     if solution is None:

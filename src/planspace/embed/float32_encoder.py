@@ -2,7 +2,8 @@
 
 For states x [batch, state]:
 
-    features    x as it is; for `trig`, the other columns, then sin and cos of the circular ones
+    features    x as it is; for `trig`, the other columns, then sin and cos of the circular ones, then each
+                number of `rotation_columns` for all quaternions
     centred     features - mean
     h           ReLU layers; 1 / std is folded into the first weights
     mu, rho     linear layers; the embedding's linear map is folded into mu
@@ -20,6 +21,8 @@ import numpy as np
 from jaxtyping import Float32, Int64
 
 from planspace.embed.embedding import Embedding, LinearMap
+from planspace.embed.inputs import Inputs
+from planspace.physics.quaternion import ROTATION_SIZE
 
 Layer = tuple[Float32[np.ndarray, "_ _"], Float32[np.ndarray, " _"]]
 """Weights [out, in] and biases [out]."""
@@ -33,6 +36,8 @@ class Float32Encoder:
     """Columns of the state that are features as they are."""
     circular: Int64[np.ndarray, " circular"]
     """Columns whose sin and cos are features."""
+    quaternions: Int64[np.ndarray, "4 quaternion"]
+    """Columns of w, x, y and z whose rotation matrices are features."""
     mean: Float32[np.ndarray, " input"]
     """Subtracted from the features."""
     hidden: tuple[Layer, ...]
@@ -46,10 +51,16 @@ class Float32Encoder:
 def float32_encoder(embedding: Embedding) -> Float32Encoder:
     """Compute the arrays from an embedding, in float64, and round them."""
     inputs, z = embedding.inputs, embedding.z_dim
-    circular = np.array(sorted(inputs.circular_columns if inputs.form == "trig" else ()), np.int64)
-    straight = np.setdiff1d(np.arange(embedding.state_dim), circular)
-    places = np.array([inputs.columns.index(column) for column in range(embedding.state_dim)])
-    order = np.concatenate([places[straight], places[circular], places[circular] + 1])
+    trig = inputs.form == "trig"
+    circular = np.array(sorted(inputs.circular_columns if trig else ()), np.int64)
+    quaternions = np.array(inputs.quaternions if trig else (), np.int64).reshape(-1, 4).T
+    straight = np.setdiff1d(np.arange(embedding.state_dim), [*circular, *quaternions.ravel()]).astype(
+        np.int64
+    )
+    sines, rotations = _places(inputs, circular), _places(inputs, quaternions[0])
+    order = np.concatenate(
+        [_places(inputs, straight), sines, sines + 1, *(rotations + k for k in range(ROTATION_SIZE))]
+    )
     weights, biases = ([array.astype(np.float64) for array in arrays] for arrays in embedding.encoder)
     mean = inputs.mean[order].astype(np.float32)
     weights[0] = weights[0][:, order] / inputs.std[order]
@@ -59,11 +70,17 @@ def float32_encoder(embedding: Embedding) -> Float32Encoder:
     return Float32Encoder(
         straight,
         circular,
+        quaternions,
         mean,
         tuple(map(_rounded, weights[:-1], biases[:-1])),
         _rounded(matrix.T @ weights[-1][:z], (biases[-1][:z] - linear_map.centre) @ matrix),
         _rounded(weights[-1][z:], biases[-1][z:]),
     )
+
+
+def _places(inputs: Inputs, columns: np.ndarray) -> np.ndarray:
+    """The first input of each column."""
+    return np.array([inputs.columns.index(column) for column in columns], np.int64)
 
 
 def _rounded(weight: np.ndarray, bias: np.ndarray) -> Layer:

@@ -15,6 +15,8 @@ from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Quaternion
+from planspace.embed.rotations import find_quaternions, with_one_sign, with_signs_of
 from planspace.errors import PlanspaceError
 from planspace.physics.angles import wrap
 
@@ -88,7 +90,10 @@ def measure(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo
 def tabulate(embedding: Embedding, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
     """Measure an embedding on each demonstration; `bootstrap_intervals` needs this table."""
     demos = demos.select(embedding.inputs.names)
-    return measure_each(embedding.encode, lambda x: embedding.decode(embedding.encode(x)), demos, episodes)
+    quaternions = embedding.inputs.quaternions or find_quaternions(demos.info, demos.info.names)
+    return measure_each(
+        embedding.encode, lambda x: embedding.decode(embedding.encode(x)), demos, episodes, quaternions
+    )
 
 
 def measure_raw_state(
@@ -106,14 +111,23 @@ def measure_constant(demos: Demos, episodes: Int[np.ndarray, " demo"]) -> Geomet
 
     The distance is d = 1, as in the 2020 figures, because d = 0 cannot be scaled to the mean of y.
     """
-    mean_state = demos.states[demos.rows(episodes)].mean(axis=0)
-    table = measure_each(
-        lambda x: np.zeros((len(x), 1)), lambda x: np.tile(mean_state, (len(x), 1)), demos, episodes
-    )
+    quaternions = find_quaternions(demos.info, demos.info.names)
+    mean_state = with_one_sign(demos.states[demos.rows(episodes)], quaternions).mean(axis=0)
+
+    def decode(states: np.ndarray) -> np.ndarray:
+        return np.tile(mean_state, (len(states), 1))
+
+    table = measure_each(lambda x: np.zeros((len(x), 1)), decode, demos, episodes, quaternions)
     return summarise(table._replace(chord=np.ones_like(table.chord)))
 
 
-def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarray, " demo"]) -> DemoMetrics:
+def measure_each(
+    encode: Map,
+    decode: Map,
+    demos: Demos,
+    episodes: Int[np.ndarray, " demo"],
+    quaternions: Sequence[Quaternion] = (),
+) -> DemoMetrics:
     """Measure a map from states [T, n] to z [T, k] on each demonstration of at least `MIN_STATES` states.
 
     Args:
@@ -121,6 +135,7 @@ def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarra
         decode: maps states to their reconstruction from z.
         demos: the dataset.
         episodes: indices of the demonstrations to measure.
+        quaternions: columns of the quaternions, whose signs make no difference to the decoded error.
 
     Raises:
         PlanspaceError: all demonstrations are too short.
@@ -132,7 +147,7 @@ def measure_each(encode: Map, decode: Map, demos: Demos, episodes: Int[np.ndarra
     bounds = np.cumsum([len(e.states) for e in measured])[:-1]
     states = np.concatenate([e.states for e in measured])
     paths = np.split(encode(states).astype(float), bounds)
-    errors = np.split(_squared_errors(demos, decode(states), states), bounds)
+    errors = np.split(_squared_errors(demos, decode(states), states, quaternions), bounds)
     lifted = [np.concatenate([np.ones((len(z), 1)), z], axis=1) for z in paths]
     return DemoMetrics(
         straightness=np.array([_straightness(z) for z in paths]),
@@ -250,9 +265,12 @@ def _steps(x: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.diff(x, axis=0), axis=1)
 
 
-def _squared_errors(demos: Demos, decoded: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _squared_errors(
+    demos: Demos, decoded: np.ndarray, states: np.ndarray, quaternions: Sequence[Quaternion]
+) -> np.ndarray:
     """Mean square error of each decoded state over its numbers, in standard deviations of each number."""
-    error = decoded - states
+    states = with_one_sign(states, quaternions)
+    error = with_signs_of(decoded, states, quaternions) - states
     columns = list(demos.info.circular_columns)
     error[:, columns] = wrap(error[:, columns])
     std = states.std(axis=0)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float32, Num
 from planspace.embed.embedding import Embedding
 from planspace.embed.float32_encoder import float32_encoder
 from planspace.embed.mlp import forward
+from planspace.physics.quaternion import rotation_columns
 
 States = Num[Array, "*batch state"] | Num[np.ndarray, "*batch state"]
 
@@ -34,9 +35,11 @@ def jax_function(
     def encode(states: States) -> Float32[Array, "*batch z"]:
         x = jnp.asarray(states, jnp.float32)
         embedding.inputs.check_shape(x.shape)
-        if len(arrays.circular):
+        if arrays.circular.size or arrays.quaternions.size:
             angles = x[..., arrays.circular]
-            x = jnp.concatenate((x[..., arrays.straight], jnp.sin(angles), jnp.cos(angles)), axis=-1)
+            rotations = rotation_columns(*(x[..., columns] for columns in arrays.quaternions))
+            parts = (x[..., arrays.straight], jnp.sin(angles), jnp.cos(angles), *rotations)
+            x = jnp.concatenate(parts, axis=-1)
         with jax.default_matmul_precision("float32"):  # GPUs and TPUs would round the factors
             return forward(layers, x - arrays.mean, jax.nn.relu)
 

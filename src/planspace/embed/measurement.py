@@ -21,6 +21,7 @@ from planspace.embed.geometry import (
     tabulate,
 )
 from planspace.embed.inputs import check_numbers
+from planspace.embed.rotations import find_quaternions
 from planspace.embed.true_times import TrueTimes, Truth, check_truth, compare_with_truth, load_truth
 from planspace.errors import PlanspaceError
 from planspace.progress import progress, progress_shown
@@ -48,6 +49,8 @@ class Checks:
     change_by_a_turn: float | None = None
     """Largest distance by which z moves if an angle on a circle changes by 2 pi, in standard deviations of z;
     the ideal is 0."""
+    change_by_a_sign: float | None = None
+    """The same if the sign of a quaternion changes, which is the same rotation."""
     outside_support: float | None = None
     """Fraction of the states that lie outside the region that the training demonstrations cover."""
     true_time_correlation: float | None = None
@@ -169,16 +172,23 @@ def run_checks(embedding: Embedding, demos: Demos) -> Checks:
         embedding: the embedding.
         demos: demonstrations with the states that the embedding reads.
     """
-    z = embedding.encode(demos.states)
-    change = outside = None
-    circles = embedding.inputs.circular_columns
-    if circles:
-        turns = 2 * np.pi * np.eye(demos.states.shape[1])
-        moved = [np.linalg.norm(embedding.encode(demos.states + turns[c]) - z, axis=1).max() for c in circles]
-        change = float(max(moved) / np.linalg.norm(z.std(axis=0)))
+    z, inputs = embedding.encode(demos.states), embedding.inputs
+    quaternions = inputs.quaternions or find_quaternions(demos.info, demos.info.names)
+    std, outside = float(np.linalg.norm(z.std(axis=0))), None
+
+    def largest_change(changed: list[np.ndarray]) -> float | None:
+        moved = [np.linalg.norm(embedding.encode(states) - z, axis=1).max() for states in changed]
+        return float(max(moved) / std) if moved and std > 0 else None
+
+    turns = 2 * np.pi * np.eye(demos.states.shape[1])
+    signs = 1.0 - 2.0 * np.array([np.isin(np.arange(len(turns)), q) for q in quaternions])
     if embedding.support is not None:
         outside = float(embedding.outside_support(demos.states).mean())
-    return Checks(change, outside)
+    return Checks(
+        change_by_a_turn=largest_change([demos.states + turns[c] for c in inputs.circular_columns]),
+        change_by_a_sign=largest_change([demos.states * sign for sign in signs]),
+        outside_support=outside,
+    )
 
 
 def _measure_split(

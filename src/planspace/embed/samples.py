@@ -45,7 +45,7 @@ class Samples(eqx.Module):
     columns: Int[Array, " input"]
     """The column of the state that each input comes from."""
     wider: Float[Array, " input"]
-    """Factor by which the range of an input is wider off the demonstrations; 1 for sin and cos."""
+    """Factor by which the range of an input is wider off the demonstrations; 1 for sin, cos and rotations."""
     triplets: Int[Array, "triplet 3"]
     w: Float[Array, " triplet"]
     """See `Sample`."""
@@ -67,7 +67,9 @@ class Samples(eqx.Module):
 
     def _off_data(self, key: Key[Array, ""], batch: int) -> Float[Array, "batch input"]:
         """Draw states whose numbers come from different demonstrations, widened about the mean."""
-        num_columns = len(self.wider)  # one draw per input is enough: sin and cos share that of their angle
+        num_columns = len(
+            self.wider
+        )  # one draw per input is enough: those of an angle or a rotation share one
         chosen = jr.randint(key, (batch, num_columns), 0, len(self.triplets))
         rows = self.triplets[chosen, 1][:, self.columns]
         values = jnp.take_along_axis(self.inputs, rows, axis=0)
@@ -94,8 +96,7 @@ def make_samples(
     triplets, times = _checked(objective.draw_triplets(source), len(demos.states))
     mean_duration = np.mean(demos.times[demos.offsets[1:] - 1][train])
     t_a, t_t, t_b = times.T
-    circles = inputs.circular_columns if inputs.form == "trig" else ()
-    wider = [1.0 if c in circles else WIDER for c in inputs.columns]
+    wider = [1.0 if on_manifold else WIDER for on_manifold in inputs.on_manifold]
     return Samples(
         inputs=jnp.asarray(inputs(demos.states), dtype=jnp.float32),
         centre=jnp.asarray(inputs(demos.states[demos.rows(train)]).mean(axis=0), dtype=jnp.float32),

@@ -15,7 +15,7 @@ import numpy as np
 
 from planspace.embed.about import read_about
 from planspace.embed.embedding import Embedding, LinearMap
-from planspace.embed.inputs import INPUT_TYPES, Inputs
+from planspace.embed.inputs import INPUT_TYPES, Inputs, Quaternion
 from planspace.embed.support import Support
 from planspace.embed.time_head import ARCHITECTURE as TIME_ARCHITECTURE
 from planspace.embed.time_head import TIME_INPUTS, TimeHead
@@ -25,7 +25,8 @@ from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import read_description, write_sealed
 
-SCHEMA = 2
+SCHEMA, ROTATION_SCHEMA = 2, 3
+"""Files with quaternions have the second one, because earlier versions do not know them."""
 WEIGHTS, DESCRIPTION = "embedding.safetensors", "embedding.json"
 CARD, LOG = "README.md", "log.jsonl"
 ARCHITECTURE = "relu-gaussian"
@@ -47,7 +48,7 @@ def save_embedding(embedding: Embedding, path: Path) -> None:
     sha256 = write_arrays(path / WEIGHTS, arrays)
     inputs = embedding.inputs
     description = {
-        "schema": SCHEMA,
+        "schema": ROTATION_SCHEMA if inputs.quaternions else SCHEMA,
         "kind": "embedding",
         "architecture": ARCHITECTURE,
         "weights_sha256": sha256,
@@ -56,6 +57,7 @@ def save_embedding(embedding: Embedding, path: Path) -> None:
             "units": inputs.units,
             "circular_columns": inputs.circular_columns,
             "form": inputs.form,
+            **({"quaternions": inputs.quaternions} if inputs.quaternions else {}),
         },
         "z_dim": embedding.z_dim,
         "sigma_floor": embedding.sigma_floor,
@@ -87,7 +89,7 @@ def load_embedding(path: str | Path) -> Embedding:
         if path.name == DESCRIPTION and path.exists():
             raise PlanspaceError(f"{path} is part of an embedding; give its folder, {path.parent}.")
         raise PlanspaceError(f"{path} is not an embedding: it contains no {DESCRIPTION}.")
-    text = read_description(path / DESCRIPTION, kind="embedding", schema=SCHEMA)
+    text = read_description(path / DESCRIPTION, kind="embedding", schema=ROTATION_SCHEMA)
     with reject_malformed(path / DESCRIPTION):
         embedding = _assemble(path, text)
         _check_parts(embedding, text["z_dim"])
@@ -121,6 +123,7 @@ def _assemble(path: Path, text: dict[str, Any]) -> Embedding:
             form=INPUT_TYPES[INPUT_TYPES.index(text["inputs"]["form"])],
             mean=arrays["mean"],
             std=arrays["deviation"],
+            quaternions=_quaternions(text["inputs"]),
         ),
         encoder=_layers(arrays, "encoder"),
         decoder=_layers(arrays, "decoder"),
@@ -136,9 +139,11 @@ def _assemble(path: Path, text: dict[str, Any]) -> Embedding:
 def _check_parts(embedding: Embedding, z_dim: int) -> None:
     """Check that the parts fit together and match the description."""
     inputs, layers = embedding.inputs, (*embedding.encoder[0], *embedding.decoder[0])
-    angles = inputs.circular_columns
-    if not all(type(column) is int and 0 <= column < len(inputs.names) for column in angles):
-        raise ValueError("an angle is not a column of the state")
+    columns = (*inputs.circular_columns, *(c for quaternion in inputs.quaternions for c in quaternion))
+    if not all(type(column) is int and 0 <= column < len(inputs.names) for column in columns):
+        raise ValueError("an angle or a part of a quaternion is not a column of the state")
+    if inputs.quaternions and len(set(columns)) < len(columns):
+        raise ValueError("a column of the state is part of two angles or quaternions")
     if embedding.about is not None and embedding.about.seed not in embedding.about.settings.seeds:
         raise ValueError("its selected seed is not one of the trained seeds")
     if not layers or len(inputs.units) != len(inputs.names) or not (inputs.std > 0).all():
@@ -154,6 +159,10 @@ def _check_parts(embedding: Embedding, z_dim: int) -> None:
         embedding.outside_support(state)
     if embedding.time_head is not None and not np.isfinite(embedding.time_to_go(state, state[::-1])).all():
         raise ValueError("its time head gives numbers that are not finite")
+
+
+def _quaternions(inputs: dict[str, Any]) -> tuple[Quaternion, ...]:
+    return tuple((w, x, y, z) for w, x, y, z in inputs.get("quaternions", ()))
 
 
 def _head_description(head: TimeHead | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import torch
 
 from planspace.embed.embedding import Embedding
 from planspace.embed.float32_encoder import Layer, float32_encoder
+from planspace.physics.quaternion import rotation_columns
 
 
 class _Linear(torch.nn.Module):
@@ -24,6 +25,7 @@ class TorchEncoder(torch.nn.Module):
 
     straight: torch.Tensor
     circular: torch.Tensor
+    quaternions: torch.Tensor
     mean: torch.Tensor
 
     def __init__(self, embedding: Embedding, trainable: bool = False):
@@ -31,9 +33,12 @@ class TorchEncoder(torch.nn.Module):
         arrays = float32_encoder(embedding)
         self._inputs = embedding.inputs
         self._has_angles = len(arrays.circular) > 0
+        self._num_quaternions = arrays.quaternions.shape[1]
         self.state_dim, self.z_dim = embedding.state_dim, embedding.z_dim
         self.register_buffer("straight", torch.tensor(arrays.straight))
         self.register_buffer("circular", torch.tensor(arrays.circular))
+        columns = torch.tensor(arrays.quaternions.ravel())
+        self.register_buffer("quaternions", columns, persistent=False)  # keys of saved agents stay the same
         self.register_buffer("mean", torch.tensor(arrays.mean))
         self.layers = torch.nn.ModuleList(map(_Linear, (*arrays.hidden, arrays.mu)))
         self.requires_grad_(trainable)
@@ -46,9 +51,15 @@ class TorchEncoder(torch.nn.Module):
         """
         self._inputs.check_shape(states.shape)
         x = states.to(self.mean.dtype)
-        if self._has_angles:
-            angles = x.index_select(-1, self.circular)
-            x = torch.cat((x.index_select(-1, self.straight), angles.sin(), angles.cos()), -1)
+        if self._has_angles or self._num_quaternions:
+            parts = [x.index_select(-1, self.straight)]
+            if self._has_angles:
+                angles = x.index_select(-1, self.circular)
+                parts += [angles.sin(), angles.cos()]
+            if self._num_quaternions:
+                numbers = x.index_select(-1, self.quaternions).split(self._num_quaternions, -1)
+                parts += rotation_columns(*numbers)
+            x = torch.cat(parts, -1)
         x = x - self.mean
         for i, layer in enumerate(self.layers):
             x = layer(x.relu() if i else x)

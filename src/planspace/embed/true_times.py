@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
+from planspace.embed.rotations import find_quaternions, with_signs_of
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.angles import wrap
 from planspace.storage.checks import MAX_BYTES, check_file
@@ -60,7 +61,7 @@ def compare_with_truth(embedding: Embedding, demos: Demos, train: np.ndarray, tr
     """Compare several distances with the shortest times.
 
     The distances are |z(a) - z(b)|, the distance of the raw states, standardised by the training split, with
-    angles on the circle, and the embedding's own time to go if it has one.
+    angles on the circle and any sign of a quaternion, and the embedding's own time to go if it has one.
 
     Args:
         embedding: the embedding.
@@ -72,7 +73,8 @@ def compare_with_truth(embedding: Embedding, demos: Demos, train: np.ndarray, tr
     states, goals = truth.states[:, read], truth.goals[:, read]
     distances = {"z": embedding.distance(states, goals)}
     std = demos.states[demos.rows(train)].std(axis=0)
-    difference = truth.states - truth.goals
+    quaternions = find_quaternions(demos.info, demos.info.names)
+    difference = with_signs_of(truth.states, truth.goals, quaternions) - truth.goals
     circles = list(demos.info.circular_columns)
     difference[:, circles] = wrap(difference[:, circles])
     distances["raw_state"] = np.linalg.norm((difference / np.where(std > 0, std, 1.0))[:, read], axis=1)
