@@ -45,7 +45,14 @@ def test_recordings_come_in_and_go_out_as_csv(capsys: pytest.CaptureFixture[str]
     command = ["demos", "import", *sources, "--control", "u=push", "--out", tmp_path / "demos"]
     code, out, err = call(capsys, *command)
     assert (code, out) == (0, f"2 demonstrations in {tmp_path}/demos\n")
-    assert err == "resampled 1 of 2 demonstrations to a step of 0.1 s\n"
+    assert [line.split()[:2] for line in err.splitlines()[:-1]] == [
+        ["column", "kind"],
+        ["t", "time"],
+        ["pos", "state"],
+        ["speed", "state"],
+        ["push", "control"],
+    ]
+    assert err.endswith("resampled 1 of 2 demonstrations to a step of 0.1 s\n")
     code, out, _ = call(capsys, "demos", "show", tmp_path / "demos", "--json")
     shown = json.loads(out)
     assert shown["state"] == {"x": "", "v": ""} and shown["controls"] == 1
@@ -67,7 +74,8 @@ def test_a_bad_cell_is_one_line_and_nothing_is_written(
     (tmp_path / "a.csv").write_text("time,x\n0,1\n1,oops\n")
     code, out, err = call(capsys, "demos", "import", tmp_path / "a.csv", "--out", tmp_path / "demos")
     assert (code, out) == (1, "") and not (tmp_path / "demos").exists()
-    assert err == f"planspace: {tmp_path}/a.csv, line 3: column 'x' must be a finite number, got 'oops'.\n"
+    place = f"planspace: {tmp_path}/a.csv, line 3: column 'x' must be a finite number, got 'oops'."
+    assert err == f"{place} Correct it, or leave the column out with --drop 'x'.\n"
 
 
 def test_a_film_from_the_command_line(

@@ -16,6 +16,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.recording import Imported, ImportOptions, assignments, recorded
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
+from planspace.demos.tables import import_tables
 from planspace.demos.triplets import random_triplets
 from planspace.errors import PlanspaceError, UsageError
 from tests.demos.archives import archive
@@ -154,7 +155,7 @@ def test_repeating_an_import_restores_a_damaged_shard(
 def test_a_source_that_changes_during_the_import_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text(CSV)
-    imported = read_csv([str(file)], None, ImportOptions())
+    imported = import_tables(read_csv([str(file)], None, ImportOptions()), None, ImportOptions())
     file.write_text("")
     with pytest.raises(PlanspaceError, match="changed while it was being read"):
         list(imported.episodes)
@@ -249,7 +250,7 @@ def test_running_out_of_memory_is_a_short_error(tmp_path: Path, monkeypatch: pyt
     def fail(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("planspace.demos.convert.check_episode", fail)
+    monkeypatch.setattr("planspace.demos.prepare.check_episode", fail)
     (tmp_path / "a.csv").write_text(CSV)
     with pytest.raises(PlanspaceError, match=r"not enough memory to read .*a\.csv"):
         import_demos([str(tmp_path / "a.csv")], tmp_path / "out", None, ImportOptions())

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, UseAppendAction, arg, subcommand
+from tyro.conf import Positional, arg, subcommand
 
-from planspace.cli.tables import counted, print_values
+from planspace.cli.demos_import import Import
+from planspace.cli.tables import print_values
 
 DemosFolder = Positional[Annotated[Path, arg(metavar="DEMOS", help="A dataset folder.")]]
 Untrusted = Annotated[
@@ -101,53 +102,6 @@ class Render:
             check_compiles(demos.info.source or "")
         render_demos(demos, self.out, config)
         print(self.out)
-
-
-@dataclass(frozen=True)
-class Import:
-    """Make a dataset from demonstrations in another format, such as NPZ, CSV, Minari or HDF5."""
-
-    source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]]
-    """The demonstrations, for example FILE.npz with `states`, `controls`, `time` and `offsets`, FILE.csv with
-    one demonstration or a column `episode`, FILE.hdf5 of robomimic or D4RL, or minari:ID. Several files, or a
-    folder of files, make one dataset. The error for a missing source lists all formats."""
-    out: Annotated[Path, arg(metavar="DIR")]
-    """The dataset folder to make."""
-    problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
-    """The planning problem that the states belong to. It provides names, units, angles and the model."""
-    state: UseAppendAction[
-        Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
-    ] = ()
-    """The column of a state; for Minari and HDF5 also NAME=INDEX or NAME=KEY[INDEX]. By default columns are
-    matched by name."""
-    control: UseAppendAction[
-        Annotated[tuple[str, ...], arg(metavar="NAME=COLUMN", help_behavior_hint="(repeatable)")]
-    ] = ()
-    """The column of a control. By default control1, control2, ... (or from control0), or the actuators'
-    names."""
-    dt: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None
-    """The time step, if the source does not record it."""
-    filter_key: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
-    """Import only the demonstrations that this list in the group `mask` of a robomimic file names."""
-    as_recorded: bool = False
-    """Keep uneven time steps and angles with full turns. Otherwise all demonstrations are resampled to one
-    time step, and angles end in (-pi, pi]."""
-    untrusted: bool = False
-    """The model or the HDF5 file comes from someone you do not trust: read it in a separate process with
-    limited memory and time."""
-
-    def __call__(self) -> None:
-        """Import and save the dataset."""
-        from planspace.demos.convert import import_demos
-        from planspace.demos.recording import ImportOptions, assignments
-        from planspace.plan.demonstrations import state_info
-        from planspace.tasks.problem_file import load_problem
-
-        states, controls = assignments("--state", self.state), assignments("--control", self.control)
-        options = ImportOptions(states, controls, self.dt, self.as_recorded, self.filter_key, self.untrusted)
-        problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
-        folder = import_demos(self.source, self.out, state_info(problem) if problem else None, options)
-        print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
 
 
 @dataclass(frozen=True)

@@ -9,22 +9,22 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode, check_episode
 from planspace.demos.folder import DemoFolder
 from planspace.demos.formats.format import Format
 from planspace.demos.formats.registry import export_patterns, find_format, import_patterns
 from planspace.demos.manifest import MANIFEST, DatasetSettings
+from planspace.demos.prepare import DECLARED, RECORDED, RESAMPLED, prepare, remove
 from planspace.demos.recording import Imported, ImportOptions, source_name
-from planspace.demos.resample import common_step, has_step, resample, with_continuous_angles
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
+from planspace.demos.tables import import_tables
 from planspace.errors import PlanspaceError, UsageError, printable
 from planspace.progress import progress_over
 from planspace.storage.checks import explain_memory_error
@@ -32,15 +32,19 @@ from planspace.storage.files import TEMPORARY_PREFIX, file_hash, make_folder
 from planspace.storage.json_files import json_hash
 from planspace.storage.runs import lock_folder
 
-STAGING, RECORDED, RESAMPLED = f"{TEMPORARY_PREFIX}import", "recorded", "even"
-"""The temporary folder inside the new dataset, and its datasets before and after resampling."""
+STAGING = f"{TEMPORARY_PREFIX}import"
+"""The temporary folder inside the new dataset."""
 
 
 # --- import -----------------------------------------------------------------------------------------
 
 
 def import_demos(
-    sources: Sequence[str], out: Path, info: StateInfo | None, options: ImportOptions
+    sources: Sequence[str],
+    out: Path,
+    info: StateInfo | None,
+    options: ImportOptions,
+    show: Callable[[str], None] = lambda table: None,
 ) -> DemoFolder:
     """Make a dataset from demonstrations in another format.
 
@@ -52,6 +56,7 @@ def import_demos(
         out: the dataset folder to make.
         info: the states of the planning problem; None if there is no problem.
         options: how to read the source.
+        show: called with a table of the columns of the source and their use, before the dataset is written.
 
     Raises:
         UsageError: no format recognises the source, or an option does not fit the format.
@@ -59,16 +64,34 @@ def import_demos(
     """
     with _quiet_overflow(" ".join(sources)):
         fmt, sources, name = _find_sources(sources)
-        imported = fmt.read(sources, info, options)
+        imported = _read(fmt, sources, info, options)
         settings = DatasetSettings(imported=name)
         if fmt.is_file:
             settings["sha256"] = _hash(list(map(Path, sources)))
-        return _store(imported, out, settings, options)
+        return _store(imported, out, settings, options, show)
 
 
 def import_npz(file: Path, out: Path, info: StateInfo | None) -> DemoFolder:
     """Import an NPZ archive unchanged: uneven time steps and full turns of angles are kept."""
     return import_demos([str(file)], out, info, ImportOptions(as_recorded=True))
+
+
+def preview(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> tuple[str, int]:
+    """Read and check sources as `import_demos` would, and report the same, without making a dataset.
+
+    Args:
+        sources: as for `import_demos`.
+        info: the states of the planning problem; None if there is no problem.
+        options: how to read the source.
+
+    Returns:
+        The table of columns, and the number of demonstrations that would be stored.
+    """
+    tables: list[str] = []
+    with _temporary_folder(" ".join(sources)) as staging:
+        fmt, sources, name = _find_sources(sources)
+        demos = _prepare(_read(fmt, sources, info, options), name, options, staging, tables.append)
+        return tables[0], len(demos)
 
 
 def load_source(source: str) -> Demos:
@@ -79,6 +102,14 @@ def load_source(source: str) -> Demos:
         PlanspaceError: the source cannot be read.
     """
     options = ImportOptions()
+    with _temporary_folder(source) as staging:
+        fmt, sources, name = _find_sources([source])
+        return _prepare(_read(fmt, sources, None, options), name, options, staging, lambda table: None).load()
+
+
+@contextmanager
+def _temporary_folder(source: str) -> Iterator[Path]:
+    """A temporary folder in which a source is prepared."""
     try:
         staging = tempfile.TemporaryDirectory(prefix="planspace-")
     except OSError as error:
@@ -87,8 +118,7 @@ def load_source(source: str) -> Demos:
             "that can be written."
         ) from error
     with staging, _quiet_overflow(source):
-        fmt, sources, name = _find_sources([source])
-        return _check_and_align(fmt.read(sources, None, options), name, options, Path(staging.name)).load()
+        yield Path(staging.name)
 
 
 @contextmanager
@@ -96,6 +126,11 @@ def _quiet_overflow(source: str) -> Iterator[None]:
     """Silence NumPy's warnings about overflow, because numbers that are not finite are refused anyway."""
     with explain_memory_error(source), np.errstate(over="ignore", invalid="ignore"):
         yield
+
+
+def _read(fmt: Format, sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Imported:
+    found = fmt.read(sources, info, options)
+    return found if isinstance(found, Imported) else import_tables(found, info, options)
 
 
 def _find_sources(sources: Sequence[str]) -> tuple[Format, list[str], str]:
@@ -140,15 +175,30 @@ def _hash(files: Sequence[Path]) -> str:
 # --- checking and storing ---------------------------------------------------------------------------
 
 
-def _store(imported: Imported, out: Path, settings: DatasetSettings, options: ImportOptions) -> DemoFolder:
+def _store(
+    imported: Imported,
+    out: Path,
+    settings: DatasetSettings,
+    options: ImportOptions,
+    show: Callable[[str], None],
+) -> DemoFolder:
     """Make the dataset after all demonstrations have been checked."""
     with _staging_folder(out) as staging:
-        demos = _check_and_align(imported, settings.get("imported", ""), options, staging)
+        demos = _prepare(imported, settings.get("imported", ""), options, staging, show)
         settings = settings | DatasetSettings(problem=demos.info.problem, content=demos.hash)
         folder = DemoFolder(out, demos.info, settings)
         missing = itertools.islice(demos.episodes(), folder.num_episodes, None)
         folder.extend(progress_over(missing, "store", unit="demo", total=len(demos) - folder.num_episodes))
     return folder
+
+
+def _prepare(
+    imported: Imported, source: str, options: ImportOptions, staging: Path, show: Callable[[str], None]
+) -> StoredDemos:
+    prepared = prepare(imported, source, options, staging, show)
+    for notice in prepared.notices:
+        print(printable(notice), file=sys.stderr)
+    return prepared.demos
 
 
 @contextmanager
@@ -161,8 +211,8 @@ def _staging_folder(out: Path) -> Iterator[Path]:
             if staging.is_symlink():  # not made by us: remove the link, not its target
                 staging.unlink()
             make_folder(staging)
-            for name in (RECORDED, RESAMPLED):  # left by a killed import
-                _remove(staging / name)
+            for name in (RECORDED, DECLARED, RESAMPLED):  # left by a killed import
+                remove(staging / name)
             try:
                 yield staging
             finally:
@@ -171,59 +221,6 @@ def _staging_folder(out: Path) -> Iterator[Path]:
         with suppress(OSError):  # not empty
             for folder in made:
                 folder.rmdir()
-
-
-def _remove(folder: Path) -> None:
-    if folder.is_symlink():
-        folder.unlink()
-    else:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _check_and_align(imported: Imported, source: str, options: ImportOptions, staging: Path) -> StoredDemos:
-    """Store checked demonstrations with continuous angles and even steps; report what was assumed."""
-    info, notices = imported.info, list(imported.notices)
-    if not info.names:
-        raise PlanspaceError(f"{source}: its states are empty.")
-    checked = progress_over(_checked(imported, source, options), "read", unit="demo")
-    demos = _store_temporarily(staging / RECORDED, source, info, checked)
-    step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), info)
-    if step is not None:
-        count = sum(not has_step(episode, step) for episode in demos.episodes())
-        notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
-        resampled = (resample(episode, info, step) for episode in demos.episodes())
-        resampled = progress_over(resampled, "resample", unit="demo", total=len(demos))
-        demos = _store_temporarily(staging / RESAMPLED, source, info, resampled)
-        _remove(staging / RECORDED)
-    for notice in notices:
-        print(printable(notice), file=sys.stderr)
-    return demos
-
-
-def _checked(imported: Imported, source: str, options: ImportOptions) -> Iterator[Episode]:
-    for episode in imported.episodes:
-        try:
-            check_episode(imported.info, episode)
-        except PlanspaceError as error:
-            raise PlanspaceError(f"{source}: {error}") from error
-        if not options.as_recorded:
-            episode = with_continuous_angles(episode, imported.info, keep_windings=imported.keep_angles)
-        yield episode
-
-
-def _store_temporarily(path: Path, source: str, info: StateInfo, episodes: Iterable[Episode]) -> StoredDemos:
-    folder = DemoFolder(path, info, {})
-    folder.extend(episodes)
-    if folder.num_episodes == 0:
-        raise PlanspaceError(f"{source}: there are no demonstrations.")
-    return StoredDemos(path)
-
-
-def _steps(demos: Demos) -> np.ndarray:
-    """Duration of each step [s]."""
-    within = np.ones(len(demos.times) - 1, dtype=bool)
-    within[demos.offsets[1:-1] - 1] = False
-    return np.diff(demos.times)[within]
 
 
 # --- export -----------------------------------------------------------------------------------------

@@ -4,16 +4,56 @@ An episode has T + 1 states and times and T controls: control k is held from sta
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from planspace.demos.search_tree import SearchTree
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the states of a demonstration were read, for messages."""
+
+    file: str
+    """The file."""
+    word: str
+    """What a row of the file is called: `line` or `row`."""
+    starts: tuple[int, ...]
+    """States at which a run of consecutive rows begins; the first is 0."""
+    rows: tuple[int, ...]
+    """Number of the row of each of these states."""
+
+    @classmethod
+    def of_rows(cls, file: str, word: str, rows: Int[np.ndarray, " time"]) -> "Origin":
+        """Store the number of the row of each state, as runs of consecutive rows.
+
+        Args:
+            file: the file.
+            word: what a row of the file is called.
+            rows: number of the row of each state.
+        """
+        starts = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 2) != 1)
+        return cls(file, word, tuple(starts.tolist()), tuple(rows[starts].tolist()))
+
+    def row(self, i: int) -> int:
+        """Number of the row of state i."""
+        run = bisect_right(self.starts, i) - 1
+        return self.rows[run] + i - self.starts[run]
+
+    def place(self, i: int) -> str:
+        """Where state i is, such as `log.csv, line 17`."""
+        return f"{self.file}, {self.word} {self.row(i)}"
+
+    def take(self, states: Int[np.ndarray, " chosen"]) -> "Origin":
+        """Where some of the states are."""
+        return Origin.of_rows(self.file, self.word, np.array([self.row(i) for i in states.tolist()]))
 
 
 @dataclass(frozen=True)
@@ -38,6 +78,12 @@ class Episode:
     """The cost that the planner minimised [s]; NaN if unknown."""
     tree: SearchTree | None = None
     """The tree of the search that found it, if it was kept. Node 0 is the first state."""
+    origin: Origin | None = field(default=None, repr=False, compare=False)
+    """Where it was read, while it is imported; not stored."""
+
+    def place(self, i: int) -> str:
+        """Where state i was read, for messages."""
+        return self.origin.place(i) if self.origin else f"demonstration {self.index}, row {i}"
 
 
 def join_episodes(info: StateInfo, episodes: Sequence[Episode]) -> Arrays:
@@ -97,6 +143,6 @@ def check_episode(info: StateInfo, episode: Episode) -> None:
             "times; expected T + 1, T and T + 1."
         )
     for name, array in (("state", episode.states), ("control", episode.controls), ("time", episode.times)):
-        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         if len(bad):
             raise PlanspaceError(f"{where} has a {name} that is not finite, in row {bad[0]}.")

@@ -1,7 +1,7 @@
 """What all readers of demonstrations share: their options, their result, and checks."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,9 @@ from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 
-OptionName = Literal["state", "control", "dt", "filter-key"]
+OptionName = Literal["state", "control", "dt", "filter-key", "time", "episode"]
+Gaps = Literal["refuse", "split", "fill"]
+"""What to do with a demonstration that lacks rows: refuse the source, cut it in two, or interpolate."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,40 @@ class ImportOptions:
     untrusted: bool = False
     """Read HDF5 files, and the models in them, in a subprocess with limited memory and time."""
 
+    time: str = ""
+    """Column with the time of each row; empty to find it by its name."""
+    episode: str = ""
+    """Column that numbers or names the demonstrations; empty to find it by its name. If it is the column of
+    the times or a counter of rows, a demonstration begins where it goes back."""
+    circular: Sequence[str] = ()
+    """States that are angles on a circle."""
+    linear: Sequence[str] = ()
+    """States that are not angles on a circle, whatever their names and values suggest."""
+    quaternions: Sequence[str] = ()
+    """Four neighbouring states each, as `FIRST:LAST` (w, x, y, z) or `FIRST:LAST:xyzw`."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units of columns by name."""
+    drop: Sequence[str] = ()
+    """Columns to leave out."""
+    keep: Sequence[str] = ()
+    """Columns that are states, although their names suggest a time, a counter or an outcome."""
+    split: str = ""
+    """A JSON file with the demonstrations of each split, or the name of a column or key that contains it."""
+    rate: float | None = None
+    """States per second to thin the demonstrations to [Hz]; None keeps all states."""
+    gaps: Gaps = "refuse"
+    """What to do if rows are missing."""
+
     def __post_init__(self) -> None:
-        """Check the time step."""
+        """Check the time step and the rate."""
         if self.dt is not None and not (math.isfinite(self.dt) and self.dt > 0):
             raise UsageError(f"--dt must be a positive number of seconds, got {self.dt}.")
+        if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
+            raise UsageError(f"--rate must be a positive number of states per second, got {self.rate}.")
+        if self.dt is not None and self.time:
+            raise UsageError("--dt and --time both say when rows were recorded; give one of them.")
+        if self.as_recorded and self.rate is not None:
+            raise UsageError("--as-recorded keeps all states, so it cannot be used with --rate.")
 
 
 @dataclass(frozen=True)
@@ -52,14 +84,34 @@ class Imported:
     """What the reader assumed, one line each."""
     keep_angles: bool = False
     """Whether to keep full turns in angles, instead of shifting each angle to end in (-pi, pi]."""
+    uses: tuple["Use", ...] = ()
+    """How the columns of a table are used; empty if the source is not a table."""
+    splits: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    """Numbers of the demonstrations in each split that the source names, such as `train`; may be empty."""
 
 
-def assignments(option: str, texts: Sequence[str]) -> dict[str, str]:
+@dataclass(frozen=True)
+class Use:
+    """What a column of a source is used for, for the table that the import prints."""
+
+    name: str
+    kind: str
+    """`time`, `episode`, `state`, `control` or `unused`."""
+    unit: str = ""
+    """Its unit; empty if it is unknown."""
+    note: str = ""
+    """Why it is used so, if this was guessed or declared."""
+    index: int = -1
+    """Number of the state or of the control; -1 for other columns."""
+
+
+def assignments(option: str, texts: Sequence[str], value: str = "COLUMN") -> dict[str, str]:
     """Parse repeated NAME=COLUMN arguments.
 
     Args:
         option: the option that they belong to, for messages.
         texts: the arguments; a column may contain equals signs.
+        value: what the text after the equals sign is, for messages.
 
     Raises:
         UsageError: an argument is malformed, or a name is given twice.
@@ -68,7 +120,7 @@ def assignments(option: str, texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         name, equals, column = (part.strip() for part in text.partition("="))
         if not (name and equals and column):
-            raise UsageError(f"{option} needs NAME=COLUMN, got {text!r}.")
+            raise UsageError(f"{option} needs NAME={value}, got {text!r}.")
         if name in found:
             raise UsageError(f"{option} names {name!r} twice.")
         found[name] = column
@@ -146,8 +198,15 @@ def check_options(options: ImportOptions, source: str, *usable: OptionName) -> N
         "control": options.controls,
         "dt": options.dt,
         "filter-key": options.filter_key,
+        "time": options.time,
+        "episode": options.episode,
     }
-    reasons = {"dt": "has its own times", "filter-key": "has no lists of demonstrations"}
+    reasons = {
+        "dt": "has its own times",
+        "filter-key": "has no lists of demonstrations",
+        "time": "says itself when its rows were recorded",
+        "episode": "says itself where its demonstrations begin",
+    }
     for name, value in given.items():
         if value and name not in usable:
             why = reasons.get(name, "has no named columns to choose from")

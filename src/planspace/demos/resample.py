@@ -54,10 +54,9 @@ def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> f
             even.
         info: the meaning of the states, with the model.
     """
-    extremes = np.array([(part.min(), part.max()) for part in steps() if len(part)])
-    if len(extremes) == 0 or _even(extremes, extremes.min()):  # then any step represents all
+    all_steps = uneven_steps(steps)
+    if all_steps is None:
         return None
-    all_steps = np.concatenate(list(steps()))
     step = float(np.median(all_steps))
     if _even(all_steps, step):
         return None
@@ -65,6 +64,18 @@ def common_step(steps: Callable[[], Iterator[np.ndarray]], info: StateInfo) -> f
         model_step = float(info.compile()[0].opt.timestep)
         step = max(1, round(step / model_step)) * model_step
     return step
+
+
+def uneven_steps(steps: Callable[[], Iterator[np.ndarray]]) -> Float[np.ndarray, " step"] | None:
+    """All steps [s], or None if they have the same length.
+
+    Args:
+        steps: returns the lengths of all steps [s], in parts.
+    """
+    extremes = np.array([(part.min(), part.max()) for part in steps() if len(part)])
+    if len(extremes) == 0 or _even(extremes, extremes.min()):  # then any step represents all
+        return None
+    return np.concatenate(list(steps()))
 
 
 def has_step(episode: Episode, step: float) -> bool:

@@ -6,6 +6,7 @@ import pytest
 from planspace.demos.convert import export_demos, import_demos
 from planspace.demos.dataset import Demos
 from planspace.demos.formats.columns import choose_columns
+from planspace.demos.formats.format import Column
 from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
@@ -118,11 +119,11 @@ def test_uneven_steps_are_resampled_with_a_notice(tmp_path: Path, capsys) -> Non
         (PLAIN.replace("4", "four"), r"0\.csv, line 3: column 'v' must be a finite number, got 'four'"),
         (PLAIN.replace("4", "1_0"), r"line 3: column 'v' must be a finite number, got '1_0'"),
         (PLAIN.replace("4", ""), r"0\.csv, line 3: column 'v' is empty"),
-        (PLAIN.replace("0.2", "0.1"), r"0\.csv, line 4: the time 0\.1 does not come after 0\.1"),
+        (PLAIN + "0,1,2\n0.1,3,4\n", r"0\.csv, line 5: the time goes back from 0\.2 to 0 s.*--episode"),
         (PLAIN.replace("3,4", "3"), r"0\.csv, line 3 has 2 cells, but the header has 3"),
-        (PLAIN.replace("time", "when"), r"0\.csv has no column 'time' or 't'"),
+        (PLAIN.replace("time", "when"), r"0\.csv has no column with the name of a time.*Give --time NAME"),
         (PLAIN.replace("v", "x"), r"0\.csv has two columns named 'x'"),
-        ("time,x\n0,1\n", r"0\.csv, line 2 is a demonstration with one state"),
+        ("time,x\n0,1\n", r"1 demonstration has one state: left out \(.*0\.csv, line 2\)"),
         ("time\n0\n1\n", r"0\.csv has no column with a state; its columns are time"),
         ("", r"0\.csv must have a header and rows of numbers"),
         ('time,x\n0,"1\n', r"0\.csv is not a CSV file"),
@@ -181,7 +182,7 @@ def test_duplicated_columns_are_found_in_linear_time(tmp_path: Path) -> None:
             Name.compared += 1
             return str.__eq__(self, other)
 
-    choose_columns([Name(f"x{i}") for i in range(1000)], None, ImportOptions(), "x.csv")
+    choose_columns([Column(Name(f"x{i}")) for i in range(1000)], None, ImportOptions(), "x.csv")
     assert Name.compared < 10_000
 
 

@@ -1,11 +1,13 @@
-"""Choose the columns of a table that contain the time, the states and the controls."""
+"""Choose the columns of a table that contain the time, the demonstration, the states and the controls."""
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from planspace.demos.recording import ImportOptions
+from planspace.demos.formats.format import Column, Kind
+from planspace.demos.guess import guess_kind, guess_unit, is_counter
+from planspace.demos.recording import ImportOptions, Use
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, unknown
 
@@ -14,6 +16,9 @@ EPISODE_NAME = "episode"
 MAX_COLUMNS = 10_000
 """A table with more columns is rejected; no robot has this many joints."""
 NO_CONTROLS = "the source has no controls: zeros are stored instead."
+
+Roles = dict[str, tuple[Kind, int]]
+"""What each used column contains, and the number of the state or control in it."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +35,24 @@ class Columns:
     """Column of each control; empty if the table has no controls."""
     episode: int | None
     """Column with the number of the demonstration; None if there is no such column."""
+    time_unit: str = ""
+    """Unit of the time; empty if it is unknown."""
+    restarts: bool = False
+    """Whether a demonstration begins where the column `episode` goes back, instead of where it changes."""
+    uses: tuple[Use, ...] = ()
+    """What every column of the table is used for."""
 
 
 def choose_columns(
-    header: Sequence[str], info: StateInfo | None, options: ImportOptions, where: str
+    columns: Sequence[Column], info: StateInfo | None, options: ImportOptions, where: str
 ) -> Columns:
-    """Choose columns by name.
+    """Choose columns by name. A column of times or a counter is a state only if the user names it.
 
     Args:
-        header: the names of the columns.
+        columns: the columns of the table.
         info: the states of the planning problem. Each is in the column that `options.states` gives, or in the
             column with its own name. If None, the states are those in `options.states`, or all columns
-            except time, episode and controls.
+            except time, episode, controls, and those whose names say that they count rows.
         options: the columns that the user named.
         where: the file, for messages.
 
@@ -50,44 +61,94 @@ def choose_columns(
         PlanspaceError: a column is missing (the message suggests a similar name) or duplicated, or there are
             too many columns.
     """
-    if len(header) > MAX_COLUMNS:
-        raise PlanspaceError(f"{where} has {len(header)} columns; at most {MAX_COLUMNS} are allowed.")
-    twice = sorted(name for name, count in Counter(header).items() if count > 1)
-    if twice:
-        raise PlanspaceError(f"{where} has two columns named {twice[0]!r}; rename one of them.")
-    taken = set(options.states.values()) | (set(info.names) if info else set())
-    free = [name for name in header if name not in taken]
-    time = next((name for name in TIME_NAMES if name in free), None)
-    controls = _control_columns(free, info, options)
-    if info is not None:
-        for name in options.states:
-            if name not in info.names:
-                raise unknown("state", name, info.names)
-        states = [options.states.get(name, name) for name in info.names]
+    names = _check_names(columns, options, where)
+    position = {name: i for i, name in enumerate(names)}
+    units = {c.name: options.units.get(c.name) or guess_unit(c).unit for c in columns}
+    taken = {*options.states.values(), *options.controls.values(), *(info.names if info else ())}
+    free = [column for column in columns if column.name not in {*taken, *options.drop}]
+    kinds: dict[str, Kind | None] = {c.name: c.kind or guess_kind(c) for c in free}
+    kinds |= dict.fromkeys(options.keep, "state")
+    time = "" if options.dt is not None else options.time or _first(kinds, "time", TIME_NAMES)
+    episode = options.episode or _first(kinds, "episode", (EPISODE_NAME,))
+    left = [name for name in kinds if name not in (time, episode)]
+    controls = _control_columns(left, kinds, info, options)
+    if info is None:
+        info, states = _named_states(left, kinds, units, controls, options)
     else:
-        used = {time, EPISODE_NAME, *controls}
-        states = list(options.states.values()) or [name for name in free if name not in used]
-        names = tuple(options.states) or tuple(states)
-        info = StateInfo(names, ("",) * len(names), (), len(controls))
+        if wrong := next((name for name in options.states if name not in info.names), None):
+            raise unknown("state", wrong, info.names)
+        states = [options.states.get(name, name) for name in info.names]
     if not states:
-        raise PlanspaceError(f"{where} has no column with a state; its columns are {', '.join(header)}.")
-    position = {name: i for i, name in enumerate(header)}
+        raise PlanspaceError(
+            f"{where} has no column with a state; its columns are {', '.join(names)}. --keep NAME makes a "
+            "column a state."
+        )
     for name in (*states, *controls):
         if name not in position:
-            raise PlanspaceError(f"{where}: {unknown('column', name, header)}")
+            raise PlanspaceError(f"{where}: {unknown('column', name, names)}")
+    roles: Roles = {time: ("time", -1), episode: ("episode", -1)}
+    roles |= {name: ("control", i) for i, name in enumerate(controls)}
+    roles |= {name: ("state", i) for i, name in enumerate(states)}
     return Columns(
         info=info,
-        time=None if time is None else position[time],
+        time=position[time] if time else None,
         states=tuple(position[name] for name in states),
         controls=tuple(position[name] for name in controls),
-        episode=position[EPISODE_NAME] if EPISODE_NAME in free else None,
+        episode=position[episode] if episode else None,
+        time_unit=units.get(time, ""),
+        restarts=bool(episode) and (episode == time or kinds.get(episode) == "time" or is_counter(episode)),
+        uses=tuple(
+            _use(column, units[column.name], roles, kinds.get(column.name), options) for column in columns
+        ),
     )
 
 
-def _control_columns(free: Sequence[str], info: StateInfo | None, options: ImportOptions) -> list[str]:
+def _named_states(
+    free: Sequence[str],
+    kinds: Mapping[str, Kind | None],
+    units: Mapping[str, str],
+    controls: Sequence[str],
+    options: ImportOptions,
+) -> tuple[StateInfo, list[str]]:
+    """States named as the user wants or as their columns, and their columns."""
+    columns = list(options.states.values()) or [
+        name for name in free if name not in controls and kinds[name] in (None, "state")
+    ]
+    names = tuple(options.states) or tuple(columns)
+    pairs = zip(names, columns, strict=True)
+    state_units = tuple(options.units.get(name) or units.get(column, "") for name, column in pairs)
+    return StateInfo(names, state_units, (), len(controls)), columns
+
+
+def _check_names(columns: Sequence[Column], options: ImportOptions, where: str) -> list[str]:
+    """The names of the columns; each exists once, and so do those that the user named."""
+    names = [column.name for column in columns]
+    if len(names) > MAX_COLUMNS:
+        raise PlanspaceError(f"{where} has {len(names)} columns; at most {MAX_COLUMNS} are allowed.")
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise PlanspaceError(f"{where} has two columns named {twice[0]!r}; rename one of them.")
+    given = {"time": [options.time], "episode": [options.episode], "drop": options.drop, "keep": options.keep}
+    for option, wanted in given.items():
+        for name in wanted:
+            if name and name not in names:
+                raise PlanspaceError(f"{where}, --{option}: {unknown('column', name, names)}")
+    return names
+
+
+def _first(kinds: Mapping[str, Kind | None], kind: Kind, preferred: Sequence[str]) -> str:
+    """The column of a kind: one with a preferred name, otherwise the first; empty if there is none."""
+    found = [name for name, its in kinds.items() if its == kind]
+    return next((name for name in preferred if name in found), found[0] if found else "")
+
+
+def _control_columns(
+    free: Sequence[str], kinds: Mapping[str, Kind | None], info: StateInfo | None, options: ImportOptions
+) -> list[str]:
     """The columns of the controls in order; empty if the table has none of them."""
     if info is None:
-        return list(options.controls.values()) or _numbered(free)
+        found = [name for name in free if kinds[name] == "control"]
+        return list(options.controls.values()) or sorted(found, key=_number)
     actuators = _actuators(info)
     from_1 = [f"control{i + 1}" for i in range(info.num_controls)]
     from_0 = [f"control{i}" for i in range(info.num_controls)]
@@ -105,10 +166,10 @@ def _control_columns(free: Sequence[str], info: StateInfo | None, options: Impor
     ]
 
 
-def _numbered(free: Sequence[str]) -> list[str]:
-    """The columns named control0, control1, ... or control1, control2, ... that exist."""
-    numbers = sorted(int(m[1]) for m in (re.fullmatch(r"control(\d{1,4})", name) for name in free) if m)
-    return [f"control{i}" for i in numbers]
+def _number(name: str) -> tuple[str, int]:
+    """Sort key that puts `control2` before `control10`."""
+    match = re.search(r"(\d+)\D*$", name)
+    return (name[: match.start()], int(match[1])) if match else (name, -1)
 
 
 def _actuators(info: StateInfo) -> list[str]:
@@ -118,3 +179,23 @@ def _actuators(info: StateInfo) -> list[str]:
     model, _ = info.compile()
     names = [model.actuator(i).name or f"control{i + 1}" for i in range(model.nu)]
     return names if len(names) == info.num_controls else []
+
+
+def _use(column: Column, unit: str, roles: Roles, kind: Kind | None, options: ImportOptions) -> Use:
+    """What a column is used for, and why."""
+    name = column.name
+    role, index = roles.get(name, ("unused", -1))
+    given = name in (options.time, options.episode, *options.keep, *options.controls.values())
+    note = "guessed from its name" if role == kind and not (given or column.kind) else ""
+    if role == "unused":
+        note = "--drop" if name in options.drop else _why_unused(name, kind, options)
+    return Use(name, role, unit or ("s" if role == "time" else ""), note, index)
+
+
+def _why_unused(name: str, kind: Kind | None, options: ImportOptions) -> str:
+    reasons: dict[Kind | None, str] = {
+        "time": "--dt is used instead" if options.dt is not None else "a second time",
+        "episode": "a second number of the demonstration",
+        "unused": "guessed: a counter or an outcome",
+    }
+    return f"{reasons[kind]}; --keep {name} makes it a state" if kind in reasons else "not chosen"

@@ -14,21 +14,13 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
-from planspace.demos.formats.columns import EPISODE_NAME, NO_CONTROLS, TIME_NAMES, Columns, choose_columns
-from planspace.demos.formats.format import Format, has_suffix
-from planspace.demos.recording import (
-    Imported,
-    ImportOptions,
-    check_options,
-    check_rising,
-    finite_number,
-    recorded,
-    source_name,
-)
+from planspace.demos.formats.columns import EPISODE_NAME, TIME_NAMES
+from planspace.demos.formats.format import Format, Table, Tables, has_suffix
+from planspace.demos.guess import split_unit
+from planspace.demos.recording import ImportOptions, check_options, finite_number, source_name
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, quoted
 from planspace.storage.checks import check_file, explain_read
@@ -36,38 +28,27 @@ from planspace.storage.files import write_bytes
 
 MAX_LINE = 1 << 24
 """Longest line that is read [characters]; a longer one does not belong to a table."""
+PART_ROWS = 4096
+"""Number of rows that are converted at a time."""
 Row = tuple[int, list[str]]
 """The line number and the cells of a row."""
 
 
-def read_csv(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Imported:
+def read_csv(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Tables:
     """Read CSV files: one demonstration per file, or one per value of the column `episode`.
 
     Args:
         sources: at least one file, in the order of the demonstrations.
-        info: the states of the planning problem; None if there is no problem.
-        options: the columns to use, and `dt` for files without a column `time` or `t`.
+        info: not used; see `planspace.demos.tables`.
+        options: `filter_key` cannot be used.
 
     Raises:
-        PlanspaceError: a file is not UTF-8 text, a column is missing, a cell is not a finite number, or times
-            do not increase; the message names the file, line and column. Rows are read, and these errors are
-            raised, while the caller iterates over the episodes.
+        PlanspaceError: a file is not UTF-8 text, a row has too few cells, or a cell is not a finite number;
+            the message names the file, line and column. Rows are read, and these errors are raised, while the
+            caller iterates over the rows.
     """
-    check_options(options, source_name(sources), "state", "control", "dt")
-    tables = [_open_table(Path(source), info, options) for source in sources]
-    first = tables[0].columns.info
-    for table in tables:
-        found = table.columns.info
-        if found != first:
-            raise PlanspaceError(
-                f"{table.file} has the states ({', '.join(found.names)}) and {found.num_controls} controls, "
-                f"but {sources[0]} has ({', '.join(first.names)}) and {first.num_controls}; all files of a "
-                "dataset must have the same."
-            )
-    demonstrations = ((table, rows) for table in tables for rows in table.demonstrations())
-    episodes = (_episode(table, rows, options, i) for i, (table, rows) in enumerate(demonstrations))
-    has_controls = all(table.columns.controls for table in tables)
-    return Imported(first, episodes, () if has_controls else (NO_CONTROLS,))
+    check_options(options, source_name(sources), "state", "control", "dt", "time", "episode")
+    return Tables([_open_table(Path(source)) for source in sources])
 
 
 def write_csv(demos: Demos, target: str) -> Path:
@@ -95,49 +76,67 @@ def write_csv(demos: Demos, target: str) -> Path:
 
 
 @dataclass(frozen=True)
-class _Table:
-    """An open file whose header has been read."""
+class _TextRows:
+    """Rows of a file as text."""
 
     file: Path
     header: list[str]
-    columns: Columns
+    lines: Int[np.ndarray, " row"]
+    cells: list[list[str]]
 
-    def demonstrations(self) -> Iterator[list[Row]]:
-        """The rows of each demonstration, read lazily unless rows of different demonstrations are mixed."""
-        column, rows = self.columns.episode, self._rows()
-        if column is None:
-            yield list(rows)
-        elif self._is_sorted(column):
-            yield from (
-                list(group) for _, group in itertools.groupby(rows, lambda row: row[1][column].strip())
-            )
-        else:
-            groups: dict[str, list[Row]] = {}
-            for row in rows:
-                groups.setdefault(row[1][column].strip(), []).append(row)
-            yield from groups.values()
+    def numbers(self, columns: Sequence[int]) -> Float[np.ndarray, "row column"]:
+        """The numbers in some columns; NaN where a cell is empty."""
+        texts = [row[column] for row in self.cells for column in columns]
+        shape = (len(self.cells), len(columns))
+        try:
+            values = np.fromiter(map(float, texts), float, len(texts))
+        except ValueError:
+            values = None
+        if values is None or not np.isfinite(values).all() or "_" in "".join(texts):
+            values = np.array([self._number(i, texts[i], columns) for i in range(len(texts))])
+        return values.reshape(shape)
 
-    def _is_sorted(self, column: int) -> bool:
-        runs = [name for name, _ in itertools.groupby(cells[column].strip() for _, cells in self._rows())]
-        return len(set(runs)) == len(runs)
+    def labels(self, column: int) -> list[str]:
+        """The cells of a column without white space around them."""
+        return [row[column].strip() for row in self.cells]
 
-    def _rows(self) -> Iterator[Row]:
-        rows = _rows(self.file)
-        next(rows, None)  # the header
-        for line, cells in rows:
-            if len(cells) != len(self.header):
-                raise PlanspaceError(
-                    f"{self.file}, line {line} has {len(cells)} cells, but the header has {len(self.header)}."
-                )
-            yield line, cells
+    def _number(self, i: int, cell: str, columns: Sequence[int]) -> float:
+        """The i-th cell, counted along the rows of the chosen columns."""
+        if not cell or cell.isspace():
+            return np.nan
+        try:
+            return finite_number(cell)
+        except ValueError:
+            row, column = divmod(i, len(columns))
+            name = self.header[columns[column]]
+            raise PlanspaceError(
+                f"{self.file}, line {self.lines[row]}: column {quoted(name)} must be a finite number, got "
+                f"{quoted(cell)}. Correct it, or leave the column out with --drop {quoted(name)}."
+            ) from None
 
 
-def _open_table(file: Path, info: StateInfo | None, options: ImportOptions) -> _Table:
+def _open_table(file: Path) -> Table:
     first = [cells for _, cells in itertools.islice(_rows(file), 2)]
     if len(first) < 2:
         raise PlanspaceError(f"{file} must have a header and rows of numbers; it has {len(first)} lines.")
     header = [cell.strip() for cell in first[0]]
-    return _Table(file, header, choose_columns(header, info, options, str(file)))
+    return Table(str(file), tuple(map(split_unit, header)), lambda: _parts(file, header), "line")
+
+
+def _parts(file: Path, header: list[str]) -> Iterator[_TextRows]:
+    rows = _rows(file)
+    next(rows, None)  # the header
+    found = False
+    while part := list(itertools.islice(rows, PART_ROWS)):
+        for line, cells in part:
+            if len(cells) != len(header):
+                raise PlanspaceError(
+                    f"{file}, line {line} has {len(cells)} cells, but the header has {len(header)}."
+                )
+        yield _TextRows(file, header, np.array([line for line, _ in part]), [cells for _, cells in part])
+        found = True
+    if not found:
+        raise PlanspaceError(f"{file} changed while it was being read.")
 
 
 def _rows(file: Path) -> Iterator[Row]:
@@ -160,43 +159,6 @@ def _lines(text: TextIO, file: Path) -> Iterator[str]:
         if len(line) == MAX_LINE:
             raise PlanspaceError(f"{file} is not a CSV file (a line has more than {MAX_LINE} characters).")
         yield line
-
-
-def _episode(table: _Table, rows: list[Row], options: ImportOptions, index: int) -> Episode:
-    columns = table.columns
-    if not rows:
-        raise PlanspaceError(f"{table.file} changed while it was being read.")
-    if len(rows) < 2:
-        raise PlanspaceError(
-            f"{table.file}, line {rows[0][0]} is a demonstration with one state; at least two are needed."
-        )
-    if columns.time is not None:
-        times = _numbers(table, rows, (columns.time,))[:, 0]
-        check_rising(times, lambda i: f"{table.file}, line {rows[i][0]}")
-    elif options.dt is not None:
-        times = np.arange(len(rows)) * options.dt
-    else:
-        raise PlanspaceError(
-            f"{table.file} has no column 'time' or 't'; rename its column, or give --dt SECONDS."
-        )
-    if columns.controls:
-        controls = _numbers(table, rows[:-1], columns.controls)  # the control in the last row is not used
-    else:
-        controls = np.zeros((len(rows) - 1, columns.info.num_controls))
-    return recorded(_numbers(table, rows, columns.states), controls, times, index)
-
-
-def _numbers(table: _Table, rows: list[Row], columns: Sequence[int]) -> Float[np.ndarray, "row column"]:
-    values = np.empty((len(rows), len(columns)))
-    for i, (line, row) in enumerate(rows):
-        for j, column in enumerate(columns):
-            try:
-                values[i, j] = finite_number(row[column])
-            except ValueError:
-                cell, name = row[column], quoted(table.header[column])
-                wrong = f"must be a finite number, got {quoted(cell)}" if cell.strip() else "is empty"
-                raise PlanspaceError(f"{table.file}, line {line}: column {name} {wrong}.") from None
-    return values
 
 
 CSV = Format("FILE.csv", has_suffix(".csv"), read_csv, write_csv)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from planspace.demos.formats.d4rl import read_d4rl
-from planspace.demos.formats.format import Format, ReadFn
+from planspace.demos.formats.format import Format
 from planspace.demos.formats.hdf5_file import hdf5_module, open_hdf5
 from planspace.demos.formats.reader_subprocess import read_in_subprocess
 from planspace.demos.formats.robomimic import read_robomimic
@@ -28,7 +28,7 @@ class Layout(NamedTuple):
     name: str
     fits: Callable[[dict[str, bool]], bool]
     """Whether a file has the layout, given the names at its top and whether each is a group."""
-    read: ReadFn
+    read: Callable[[Sequence[str], StateInfo | None, ImportOptions], Imported]
     contents: str
     """What it contains, for messages."""
 

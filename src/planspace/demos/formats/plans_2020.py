@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from planspace.demos.episode import Episode
 from planspace.demos.formats.columns import NO_CONTROLS, Columns, choose_columns
-from planspace.demos.formats.format import Format, has_suffix
+from planspace.demos.formats.format import Column, Format, has_suffix
 from planspace.demos.recording import (
     Imported,
     ImportOptions,
@@ -84,7 +84,7 @@ def read_json_plans(sources: Sequence[str], info: StateInfo | None, options: Imp
     files = list(map(Path, sources))
     tables = [_json_table(file) for file in files]
     columns = [
-        choose_columns(header, info, options, str(file))
+        choose_columns([Column(name) for name in header], info, options, str(file))
         for file, (header, _) in zip(files, tables, strict=True)
     ]
     for file, chosen in zip(files, columns, strict=True):

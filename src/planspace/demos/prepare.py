@@ -1,0 +1,155 @@
+"""From the demonstrations of a source to those of a dataset: cleaned, declared, continuous and evenly spaced.
+
+Each stage reads the demonstrations one at a time and writes a temporary dataset, so memory does not grow with
+the source.
+"""
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from planspace.demos.clean import Cleaning, longest_step
+from planspace.demos.dataset import Demos
+from planspace.demos.declare import Meaning, declare_states
+from planspace.demos.episode import Episode, Origin, check_episode
+from planspace.demos.folder import DemoFolder
+from planspace.demos.import_table import import_table
+from planspace.demos.recording import Imported, ImportOptions
+from planspace.demos.resample import common_step, has_step, resample, uneven_steps, with_continuous_angles
+from planspace.demos.state_info import StateInfo
+from planspace.demos.stored import StoredDemos
+from planspace.demos.survey import Survey
+from planspace.errors import PlanspaceError
+from planspace.progress import progress_over
+
+RECORDED, DECLARED, RESAMPLED = "recorded", "declared", "even"
+"""The temporary datasets in the staging folder."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The demonstrations of a dataset before they are stored."""
+
+    demos: StoredDemos
+    notices: tuple[str, ...]
+    """What was assumed and changed, one line each."""
+
+
+def prepare(
+    imported: Imported, source: str, options: ImportOptions, staging: Path, show: Callable[[str], None]
+) -> Prepared:
+    """Check, clean and align the demonstrations of a source.
+
+    Args:
+        imported: the source.
+        source: its name, for messages.
+        options: how to import it.
+        staging: a folder for temporary datasets.
+        show: called with the table of columns, before demonstrations are changed.
+
+    Raises:
+        UsageError: an option does not fit the source.
+        PlanspaceError: a demonstration is damaged or has gaps; the message names its place.
+    """
+    if not imported.info.names:
+        raise PlanspaceError(f"{source}: its states are empty.")
+    cleaning, survey, origins = Cleaning(), Survey(len(imported.info.names), imported.info.num_controls), []
+    episodes = cleaning.clean_rows(_checked(imported, source), as_recorded=options.as_recorded)
+    episodes = progress_over(_surveyed(episodes, survey, origins), "read", unit="demo")
+    recorded = _stage(staging / RECORDED, imported.info, episodes)
+    if recorded is None:
+        why = "; ".join(cleaning.notices(options.gaps)) or "there are no demonstrations"
+        raise PlanspaceError(f"{source}: {why}.")
+    meaning = declare_states(imported.info, survey, options)
+    show(import_table(imported, meaning, survey, len(recorded)))
+    demos = _declare(recorded, origins, meaning, imported.keep_angles, cleaning, options, staging)
+    notices = [*imported.notices, *cleaning.notices(options.gaps)]
+    step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), demos.info)
+    if step is not None:
+        count = sum(not has_step(episode, step) for episode in demos.episodes())
+        notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
+        resampled = (resample(episode, demos.info, step) for episode in demos.episodes())
+        resampled = progress_over(resampled, "resample", unit="demo", total=len(demos))
+        even = _stage(staging / RESAMPLED, demos.info, resampled)
+        assert even is not None
+        remove(demos.path)
+        demos = even
+    return Prepared(demos, tuple(notices))
+
+
+def _checked(imported: Imported, source: str) -> Iterator[Episode]:
+    for episode in imported.episodes:
+        try:
+            check_episode(imported.info, episode)
+        except PlanspaceError as error:
+            raise PlanspaceError(f"{source}: {error}") from error
+        yield episode
+
+
+def _surveyed(episodes: Iterable[Episode], survey: Survey, origins: list[Origin | None]) -> Iterator[Episode]:
+    """Pass on demonstrations, and keep their statistics and where they are from."""
+    for episode in episodes:
+        survey.update(episode)
+        origins.append(episode.origin)
+        yield episode
+
+
+def _stage(path: Path, info: StateInfo, episodes: Iterable[Episode]) -> StoredDemos | None:
+    """Write a temporary dataset; None if there are no demonstrations."""
+    folder = DemoFolder(path, info, {})
+    folder.extend(episodes)
+    return StoredDemos(path) if folder.num_episodes else None
+
+
+def _declare(
+    demos: StoredDemos,
+    origins: list[Origin | None],
+    meaning: Meaning,
+    keep_windings: bool,
+    cleaning: Cleaning,
+    options: ImportOptions,
+    staging: Path,
+) -> StoredDemos:
+    """Give the states their meaning, cut demonstrations at gaps, and make angles continuous."""
+    steps = None if options.as_recorded else uneven_steps(lambda: map(_steps, demos.shards()))
+    longest = np.inf if steps is None else longest_step(steps)
+    if steps is not None and steps.max() <= longest:
+        longest = np.inf
+
+    def declared() -> Iterator[Episode]:
+        located = zip(demos.episodes(), origins, strict=True)
+        episodes = (meaning.apply(replace(episode, origin=origin)) for episode, origin in located)
+        for episode in cleaning.split_gaps(episodes, longest, options.gaps):
+            if options.as_recorded:
+                yield episode
+            else:
+                yield with_continuous_angles(episode, meaning.info, keep_windings=keep_windings)
+
+    angles = meaning.info.circular_columns or meaning.info.quaternion_columns
+    if not meaning.changes_numbers and meaning.info == demos.info and not angles and longest == np.inf:
+        return demos
+    staged = _stage(staging / DECLARED, meaning.info, declared())
+    if options.gaps == "refuse":
+        cleaning.check_gaps(longest)
+    if staged is None:
+        raise PlanspaceError(f"after cutting at gaps, {'; '.join(cleaning.notices(options.gaps))}.")
+    remove(demos.path)
+    return staged
+
+
+def remove(folder: Path) -> None:
+    """Remove a temporary folder; of a link, remove the link only."""
+    if folder.is_symlink():
+        folder.unlink()
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _steps(demos: Demos) -> np.ndarray:
+    """Duration of each step [s]."""
+    within = np.ones(len(demos.times) - 1, dtype=bool)
+    within[demos.offsets[1:-1] - 1] = False
+    return np.diff(demos.times)[within]
