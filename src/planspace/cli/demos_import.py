@@ -25,8 +25,9 @@ class Import:
 
     source: Positional[Annotated[tuple[str, ...], arg(metavar="SOURCE ...", help_behavior_hint="(required)")]]
     """The demonstrations, for example FILE.npz with `states`, `controls`, `time` and `offsets`, FILE.csv with
-    one demonstration or a column `episode`, FILE.hdf5 of robomimic or D4RL, or minari:ID. Several files, or a
-    folder of files, make one dataset. The error for a missing source lists all formats."""
+    one demonstration or a column `episode`, FILE.hdf5 of robomimic or D4RL, a LeRobot folder, or
+    minari:ID. Several files, or a folder of files, make one dataset. The error for a missing source lists all
+    formats."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required without --dry-run)")] = None
     """The dataset folder to make."""
     dry_run: bool = False
@@ -34,8 +35,8 @@ class Import:
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
     """The planning problem that the states belong to. It provides names, units, angles and the model."""
     state: Assignments = ()
-    """The column of a state; for Minari and HDF5 also NAME=INDEX or NAME=KEY[INDEX]. By default columns are
-    matched by name."""
+    """The column of a state, by its name or, counted from 0, by its number; for Minari and HDF5 also
+    NAME=INDEX or NAME=KEY[INDEX]. By default columns are matched by name."""
     control: Assignments = ()
     """The column of a control. By default control1, control2, ... (or from control0), action0, ..., or the
     actuators' names."""
@@ -78,8 +79,8 @@ class Import:
     """Keep uneven time steps and angles with full turns. Otherwise all demonstrations are resampled to one
     time step, and angles end in (-pi, pi]."""
     untrusted: bool = False
-    """The model or the HDF5 file comes from someone you do not trust: read it in a separate process with
-    limited memory and time."""
+    """The model, HDF5 file or LeRobot folder comes from someone you do not trust: read it in a separate
+    process with limited memory and time."""
 
     def __call__(self) -> None:
         """Import and save the dataset, or show what would be imported."""

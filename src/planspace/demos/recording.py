@@ -34,7 +34,7 @@ class ImportOptions:
     filter_key: str = ""
     """Name of a list of demonstrations in the file; only these are read. Empty for all."""
     untrusted: bool = False
-    """Read HDF5 files, and the models in them, in a subprocess with limited memory and time."""
+    """Read HDF5 and Parquet files, and the models in them, in a subprocess with limited memory and time."""
 
     time: str = ""
     """Column with the time of each row; empty to find it by its name."""

@@ -125,7 +125,8 @@ def test_uneven_steps_are_resampled_with_a_notice(tmp_path: Path, capsys) -> Non
         (PLAIN.replace("v", "x"), r"0\.csv has two columns named 'x'"),
         ("time,x\n0,1\n", r"1 demonstration has one state: left out \(.*0\.csv, line 2\)"),
         ("time\n0\n1\n", r"0\.csv has no column with a state; its columns are time"),
-        ("", r"0\.csv must have a header and rows of numbers"),
+        ("", r"0\.csv has no rows of numbers"),
+        ("time,x\n", r"0\.csv has a header, but no rows of numbers"),
         ('time,x\n0,"1\n', r"0\.csv is not a CSV file"),
         ("time,x,control1\n0,1,2\n1,2,\n2,3,4\n", r"line 3: column 'control1' is empty"),
     ],
@@ -168,9 +169,9 @@ def test_a_state_named_like_another_column_is_not_exported(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("num", [10_001, 200_000])
 def test_too_many_columns_are_refused(num: int, tmp_path: Path) -> None:
-    row = ",".join(["0"] * num)
+    names, row = ",".join(f"x{i}" for i in range(num)), ",".join(["0"] * num)
     with pytest.raises(PlanspaceError, match=rf"0\.csv has {num} columns; at most 10000 are allowed"):
-        load(tmp_path, f"{','.join(map(str, range(num)))}\n{row}\n{row}\n")
+        load(tmp_path, f"{names}\n{row}\n{row}\n")
 
 
 def test_duplicated_columns_are_found_in_linear_time(tmp_path: Path) -> None:

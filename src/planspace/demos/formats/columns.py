@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from planspace.demos.formats.format import Column, Kind
 from planspace.demos.guess import guess_kind, guess_unit, is_counter
@@ -61,6 +61,7 @@ def choose_columns(
         PlanspaceError: a column is missing (the message suggests a similar name) or duplicated, or there are
             too many columns.
     """
+    options = _by_number(columns, options)
     names = _check_names(columns, options, where)
     position = {name: i for i, name in enumerate(names)}
     units = {c.name: options.units.get(c.name) or guess_unit(c).unit for c in columns}
@@ -100,6 +101,23 @@ def choose_columns(
         uses=tuple(
             _use(column, units[column.name], roles, kinds.get(column.name), options) for column in columns
         ),
+    )
+
+
+def _by_number(columns: Sequence[Column], options: ImportOptions) -> ImportOptions:
+    """The options with the names of columns instead of their numbers, counted from 0."""
+    names = [column.name for column in columns]
+
+    def name(text: str) -> str:
+        is_number = text.isascii() and text.isdigit() and text not in names
+        return names[int(text)] if is_number and int(text[:9]) < len(names) else text
+
+    return replace(
+        options,
+        states={state: name(column) for state, column in options.states.items()},
+        controls={control: name(column) for control, column in options.controls.items()},
+        time=name(options.time),
+        episode=name(options.episode),
     )
 
 

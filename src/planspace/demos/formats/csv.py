@@ -1,14 +1,17 @@
-"""CSV files: a header, then one row per state with the control that is held from that state on.
+"""Text files of numbers: one row per state with the control that is held from that state on.
 
 episode,time,slider,hinge,slidervel,hingevel,control1
 0,0.0,-0.18,1.3,0.08,-0.03,2.5
 0,0.02,...
+
+`csv_dialect.py` finds the delimiter, the decimal mark and the header.
 """
 
 import csv
 import io
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -18,9 +21,16 @@ from jaxtyping import Float, Int
 
 from planspace.demos.dataset import Demos
 from planspace.demos.formats.columns import EPISODE_NAME, TIME_NAMES
-from planspace.demos.formats.format import Format, Table, Tables, has_suffix
+from planspace.demos.formats.csv_dialect import (
+    SAMPLE_LINES,
+    Dialect,
+    explain_cell,
+    find_dialect,
+    read_number,
+)
+from planspace.demos.formats.format import Format, Table, Tables
 from planspace.demos.guess import split_unit
-from planspace.demos.recording import ImportOptions, check_options, finite_number, source_name
+from planspace.demos.recording import ImportOptions, check_options, source_name
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, quoted
 from planspace.storage.checks import check_file, explain_read
@@ -30,8 +40,7 @@ MAX_LINE = 1 << 24
 """Longest line that is read [characters]; a longer one does not belong to a table."""
 PART_ROWS = 4096
 """Number of rows that are converted at a time."""
-Row = tuple[int, list[str]]
-"""The line number and the cells of a row."""
+SUFFIXES = (".csv", ".tsv")
 
 
 def read_csv(sources: Sequence[str], info: StateInfo | None, options: ImportOptions) -> Tables:
@@ -48,7 +57,9 @@ def read_csv(sources: Sequence[str], info: StateInfo | None, options: ImportOpti
             caller iterates over the rows.
     """
     check_options(options, source_name(sources), "state", "control", "dt", "time", "episode")
-    return Tables([_open_table(Path(source)) for source in sources])
+    files = [(Path(source), _find_dialect(Path(source))) for source in sources]
+    notices = dict.fromkeys(notice for _, dialect in files for notice in dialect.notices)
+    return Tables([_table(file, dialect) for file, dialect in files], notices=tuple(notices))
 
 
 def write_csv(demos: Demos, target: str) -> Path:
@@ -80,7 +91,7 @@ class _TextRows:
     """Rows of a file as text."""
 
     file: Path
-    header: list[str]
+    dialect: Dialect
     lines: Int[np.ndarray, " row"]
     cells: list[list[str]]
 
@@ -89,7 +100,7 @@ class _TextRows:
         texts = [row[column] for row in self.cells for column in columns]
         shape = (len(self.cells), len(columns))
         try:
-            values = np.fromiter(map(float, texts), float, len(texts))
+            values = None if self.dialect.decimal_comma else np.fromiter(map(float, texts), float, len(texts))
         except ValueError:
             values = None
         if values is None or not np.isfinite(values).all() or "_" in "".join(texts):
@@ -105,51 +116,54 @@ class _TextRows:
         if not cell or cell.isspace():
             return np.nan
         try:
-            return finite_number(cell)
+            return read_number(cell, self.dialect.decimal_comma)
         except ValueError:
             row, column = divmod(i, len(columns))
-            name = self.header[columns[column]]
+            name = self.dialect.header[columns[column]]
+            wrong = explain_cell(cell, self.dialect)
             raise PlanspaceError(
-                f"{self.file}, line {self.lines[row]}: column {quoted(name)} must be a finite number, got "
-                f"{quoted(cell)}. Correct it, or leave the column out with --drop {quoted(name)}."
+                f"{self.file}, line {self.lines[row]}: column {quoted(name)} {wrong}. Correct it, or leave "
+                f"the column out with --drop {quoted(name)}."
             ) from None
 
 
-def _open_table(file: Path) -> Table:
-    first = [cells for _, cells in itertools.islice(_rows(file), 2)]
-    if len(first) < 2:
-        raise PlanspaceError(f"{file} must have a header and rows of numbers; it has {len(first)} lines.")
-    header = [cell.strip() for cell in first[0]]
-    return Table(str(file), tuple(map(split_unit, header)), lambda: _parts(file, header), "line")
+def _find_dialect(file: Path) -> Dialect:
+    with _opened(file) as lines:
+        return find_dialect(list(itertools.islice(lines, SAMPLE_LINES)), str(file))
 
 
-def _parts(file: Path, header: list[str]) -> Iterator[_TextRows]:
-    rows = _rows(file)
-    next(rows, None)  # the header
-    found = False
-    while part := list(itertools.islice(rows, PART_ROWS)):
-        for line, cells in part:
-            if len(cells) != len(header):
-                raise PlanspaceError(
-                    f"{file}, line {line} has {len(cells)} cells, but the header has {len(header)}."
-                )
-        yield _TextRows(file, header, np.array([line for line, _ in part]), [cells for _, cells in part])
-        found = True
+def _table(file: Path, dialect: Dialect) -> Table:
+    columns = tuple(map(split_unit, dialect.header))
+    return Table(str(file), columns, lambda: _parts(file, dialect), "line")
+
+
+def _parts(file: Path, dialect: Dialect) -> Iterator[_TextRows]:
+    size, found, first = len(dialect.header), False, "header" if dialect.has_header else "first row"
+    with _opened(file) as lines:
+        rows = itertools.islice(dialect.rows(lines), int(dialect.has_header), None)
+        while part := list(itertools.islice(rows, PART_ROWS)):
+            for line, cells in part:
+                if len(cells) != size:
+                    raise PlanspaceError(
+                        f"{file}, line {line} has {len(cells)} cells, but the {first} has {size}."
+                    )
+            yield _TextRows(file, dialect, np.array([line for line, _ in part]), [cells for _, cells in part])
+            found = True
     if not found:
         raise PlanspaceError(f"{file} changed while it was being read.")
 
 
-def _rows(file: Path) -> Iterator[Row]:
-    """The line number and cells of all rows that are not empty."""
+@contextmanager
+def _opened(file: Path) -> Iterator[Iterator[str]]:
+    """The lines of a text file."""
     check_file(file, may_be_link=True)
     try:
         with explain_read(file), open(file, encoding="utf-8-sig", newline="") as text:
-            reader = csv.reader(_lines(text, file), strict=True)
-            for cells in reader:
-                if any(cell.strip() for cell in cells):
-                    yield reader.line_num, cells
+            yield _lines(text, file)
     except UnicodeDecodeError as error:
-        raise PlanspaceError(f"{file} is not UTF-8 text ({error.reason}).") from error
+        raise PlanspaceError(
+            f"{file} is not UTF-8 text ({error.reason}); save it as CSV with the encoding UTF-8."
+        ) from error
     except csv.Error as error:
         raise PlanspaceError(f"{file} is not a CSV file ({error}).") from error
 
@@ -161,4 +175,4 @@ def _lines(text: TextIO, file: Path) -> Iterator[str]:
         yield line
 
 
-CSV = Format("FILE.csv", has_suffix(".csv"), read_csv, write_csv)
+CSV = Format("FILE.csv", lambda source: Path(source).suffix.lower() in SUFFIXES, read_csv, write_csv)
