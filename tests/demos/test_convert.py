@@ -40,7 +40,6 @@ CSV = "time,x\n0,1\n0.1,2\n0.2,3\n"
             ["in"],
             "in contains FILE.csv and FILE.json; import one format at a time",
         ),
-        (["a.npz", "b.npz"], ["a.npz", "b.npz"], "a.npz and 1 more contains 2 NPZ archives"),
         (["in/manifest.json"], ["in"], "is already a planspace dataset"),
     ],
 )
@@ -59,8 +58,7 @@ def test_unknown_or_mixed_sources_are_refused(
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [
-        ("a.npz", {"states": {"x": "y"}}, "--state cannot be used with a.npz"),
-        ("a.npz", {"dt": 0.1}, "--dt cannot be used with a.npz, which has its own times"),
+        ("a.npz", {"filter_key": "x"}, "--filter-key cannot be used with a.npz"),
         ("a.out", {"controls": {"x": "y"}}, "--control cannot be used with a.out"),
         ("minari:a-v0", {"controls": {"x": "y"}}, "--control cannot be used with minari:a-v0"),
     ],

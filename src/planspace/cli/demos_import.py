@@ -3,12 +3,15 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from planspace.cli.tables import counted
 from planspace.errors import UsageError, printable
+
+if TYPE_CHECKING:
+    from planspace.demos.state_info import StateInfo
 
 Names = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME", help_behavior_hint="(repeatable)")]]
 Assignments = UseAppendAction[
@@ -34,6 +37,9 @@ class Import:
     """Read and check everything, print the table of columns, and write nothing."""
     problem: Annotated[str, arg(metavar="PROBLEM|FILE.yaml", help_behavior_hint="(default: none)")] = ""
     """The planning problem that the states belong to. It provides names, units, angles and the model."""
+    model: Annotated[Path | None, arg(metavar="FILE.xml", help_behavior_hint="(default: none)")] = None
+    """The MuJoCo model that the states were recorded from, instead of a problem. A state has the positions
+    and velocities of all joints."""
     state: Assignments = ()
     """The column of a state, by its name or, counted from 0, by its number; for Minari and HDF5 also
     NAME=INDEX or NAME=KEY[INDEX]. By default columns are matched by name."""
@@ -86,8 +92,6 @@ class Import:
         """Import and save the dataset, or show what would be imported."""
         from planspace.demos.convert import import_demos, preview
         from planspace.demos.recording import ImportOptions, assignments
-        from planspace.plan.demonstrations import state_info
-        from planspace.tasks.problem_file import load_problem
 
         if self.out is None and not self.dry_run:
             raise UsageError("give the dataset folder to make, --out DIR, or --dry-run.")
@@ -98,8 +102,7 @@ class Import:
             quaternions=self.quaternion,
             **{name: getattr(self, name) for name in PASSED_ON},
         )
-        problem = load_problem(self.problem, untrusted=self.untrusted) if self.problem else None
-        info = state_info(problem) if problem else None
+        info = self._states()
         if self.dry_run or self.out is None:
             table, num = preview(self.source, info, options)
             print(table)
@@ -107,6 +110,18 @@ class Import:
             return
         folder = import_demos(self.source, self.out, info, options, show=_show)
         print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
+
+    def _states(self) -> "StateInfo | None":
+        """The states of the problem or the model; None if there is neither."""
+        from planspace.demos.formats.recorded_model import model_states
+        from planspace.plan.demonstrations import state_info
+        from planspace.tasks.problem_file import load_problem
+
+        if self.problem and self.model:
+            raise UsageError("--problem has a model already; leave --model out.")
+        if self.model:
+            return model_states(self.model, untrusted=self.untrusted)
+        return state_info(load_problem(self.problem, untrusted=self.untrusted)) if self.problem else None
 
 
 PASSED_ON = (

@@ -45,7 +45,7 @@ def test_import_the_released_data(released: Path, tmp_path: Path, capsys) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"time": None}, "has no array 'time'"),
+        ({"time": None}, "has no column with the name of a time; its columns are states, controls. Give"),
         ({"offsets": np.array([0, 3])}, "offsets must run from 0 to the number of rows, 4"),
         ({"offsets": np.array([0, 1, 4])}, "episode 0 has fewer than two states"),
         ({"controls": np.zeros((3, 1))}, "the same number of rows"),
@@ -165,10 +165,10 @@ def test_a_demonstration_that_does_not_fit_in_memory_is_refused(
     np.savez(tmp_path / "a.npz", **{**arrays, "states": np.asarray(arrays["states"], order=order)})
     size = 8 * arrays["states"].size
     for name in ("MAX_EPISODE_BYTES", "MAX_BYTES"):
-        monkeypatch.setattr(f"planspace.demos.formats.npz.{name}", size)
+        monkeypatch.setattr(f"planspace.demos.formats.npz_file.{name}", size)
     import_npz(tmp_path / "a.npz", tmp_path / "out", None)
     monkeypatch.setattr(
-        f"planspace.demos.formats.npz.{'MAX_EPISODE_BYTES' if order == 'C' else 'MAX_BYTES'}", size - 1
+        f"planspace.demos.formats.npz_file.{'MAX_EPISODE_BYTES' if order == 'C' else 'MAX_BYTES'}", size - 1
     )
     with pytest.raises(
         PlanspaceError, match=r"a\.npz is not .*an array of \d+ numbers does not fit in memory"

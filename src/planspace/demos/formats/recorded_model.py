@@ -9,6 +9,7 @@ from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import MAX_MODEL_BYTES, read_model
 from planspace.mjcf.skeleton import refers_to_files, skeleton
 from planspace.mjcf.source import ModelFile, ModelSource
+from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.space import StateSpace
 from planspace.storage.checks import check_file
 from planspace.storage.files import read_bytes
@@ -51,6 +52,20 @@ class RecordedModel:
     """The meaning of its states, with the model if it compiles. The number of controls is unknown: 0."""
     notice: str = ""
     """Why the dataset has no model; empty if it has one."""
+
+
+def model_states(path: Path, *, untrusted: bool = False) -> StateInfo:
+    """The states of all joints of a model that the user names.
+
+    Args:
+        path: the MJCF file.
+        untrusted: whether to read it in a separate process with limited memory and time.
+
+    Raises:
+        PlanspaceError: the model cannot be read or does not compile.
+    """
+    read = read_model_in_subprocess if untrusted else read_model
+    return _info(source := read(ModelFile(path)), source)
 
 
 def read_recorded_model(recording: Recording) -> RecordedModel | None:
