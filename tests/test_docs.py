@@ -24,7 +24,7 @@ EXTRAS = {
     "tutorial.md": ("stable_baselines3", "imageio"),
     "howto/own-environment.md": ("imageio",),  # gymnasium[mujoco]
     "howto/demonstrations.md": ("minari", "pyarrow"),
-    "howto/agents.md": ("torch",),
+    "howto/agents.md": ("stable_baselines3",),
 }
 SMALLER = {
     "--num 200": "--num 6",

@@ -30,6 +30,11 @@ CASES += [
         (EMBEDDING, "--num-envs", "8", "--iterations", "2"),
         r"iteration 1: mean distance in z \d",
     ),
+    (
+        "her_goals.py",
+        (EMBEDDING, "--steps", "300", "--episodes", "2"),
+        r"z_desired_goal, z_difference; reached \d of 2 goals",
+    ),
     ("jax_loop.py", (EMBEDDING, "--num-envs", "5", "--iterations", "2"), r"iteration 1: return -\d"),
     (
         "minari_demos.py",
@@ -37,7 +42,12 @@ CASES += [
         r"(?s)episode 11 ends 0\.[01]\d from.*planspace embed minari:",
     ),
 ]
-NEEDS = {"agents_sb3.py": "sb3_contrib", "sb3_features.py": "stable_baselines3", "minari_demos.py": "minari"}
+NEEDS = {
+    "agents_sb3.py": "sb3_contrib",
+    "sb3_features.py": "stable_baselines3",
+    "her_goals.py": "stable_baselines3",
+    "minari_demos.py": "minari",
+}
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 

@@ -88,6 +88,10 @@ def test_misfits_are_refused() -> None:
         GymnasiumVecEnv(slow)
     with pytest.raises(UsageError, match="Pendulum-v1 has no vector environment; use SB3's own"):
         make_vec_env("Pendulum-v1")
+    with pytest.raises(UsageError, match="CartPole-v1 has no argument autoreset_mode, and SB3 needs 'SameSt"):
+        make_vec_env("CartPole-v1", 2)  # one of Gymnasium's own vector environments
+    with pytest.raises(TypeError, match="no_such_argument"):
+        make_vec_env(BALANCE, env_kwargs={"no_such_argument": 1})
     env = make_vec_env(BALANCE, 2)
     with pytest.raises(UsageError, match="cannot call jump: the vector environment has no single"):
         env.env_method("jump")

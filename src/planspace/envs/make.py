@@ -10,7 +10,10 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv, VectorEnv
 
 from planspace.embed.embedding import Embedding
+from planspace.envs.columns import Column
+from planspace.envs.goal_states import Goal
 from planspace.envs.gymnasium_env import GymTaskEnv
+from planspace.envs.observation_view import Z
 from planspace.envs.observation_wrappers import PlanSpaceObservation, PlanSpaceVectorObservation
 from planspace.errors import UsageError, quoted
 from planspace.tasks.catalog import TASKS
@@ -87,38 +90,48 @@ def wrap(
     env: VectorEnv[Any, Any, Any],
     embedding: str | Path | Embedding,
     mode: str = "augment",
-    columns: Sequence[int] | None = None,
+    columns: Sequence[Column] | None = None,
+    goal: Goal | None = None,
+    key: str = Z,
 ) -> PlanSpaceVectorObservation: ...
 @overload
 def wrap(
     env: gymnasium.Env[Any, Any],
     embedding: str | Path | Embedding,
     mode: str = "augment",
-    columns: Sequence[int] | None = None,
+    columns: Sequence[Column] | None = None,
+    goal: Goal | None = None,
+    key: str = Z,
 ) -> PlanSpaceObservation: ...
 def wrap(
     env: Any,
     embedding: str | Path | Embedding,
     mode: str = "augment",
-    columns: Sequence[int] | None = None,
+    columns: Sequence[Column] | None = None,
+    goal: Goal | None = None,
+    key: str = Z,
 ) -> PlanSpaceObservation | PlanSpaceVectorObservation:
     """Show an agent z: wrap a single or a vector environment of Gymnasium.
 
     Args:
         env: the environment.
         embedding: the embedding or its folder.
-        mode: `augment` appends z to a flat observation, `replace` returns only z, `dict` returns both.
+        mode: `augment` appends z to a flat observation and adds it to a dictionary, `replace` returns only z,
+            `dict` returns both.
         columns: the columns of the observation that make the embedding's state; None reads the state by
             name (see `PlanSpaceObservation`).
+        goal: where the desired goal of a goal environment has the embedding's state, to show z of the goals
+            (see `PlanSpaceObservation`).
+        key: the name of the entry `z` in a dictionary observation.
 
     Raises:
         UsageError: the environment is of another kind, or the embedding does not fit it.
         PlanspaceError: the embedding cannot be loaded.
     """
     if isinstance(env, VectorEnv):
-        return PlanSpaceVectorObservation(env, embedding, mode, columns)
+        return PlanSpaceVectorObservation(env, embedding, mode, columns, goal, key)
     if isinstance(env, gymnasium.Env):
-        return PlanSpaceObservation(env, embedding, mode, columns)
+        return PlanSpaceObservation(env, embedding, mode, columns, goal, key)
     kind = f"{type(env).__module__}.{type(env).__qualname__}"
     if any(base.__module__.startswith("stable_baselines3.") for base in type(env).__mro__):
         raise UsageError(

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from planspace.embed.embedding import Embedding
+from planspace.envs.final_observations import last_observation
 from planspace.envs.observation_wrappers import PlanSpaceVectorObservation
 from planspace.errors import PlanspaceError, UsageError
 
@@ -48,14 +49,26 @@ def make_vec_env(
         PlanspaceError: the embedding cannot be loaded.
     """
     if gymnasium.spec(env_id.rpartition(":")[2]).vector_entry_point is None:
-        raise UsageError(f"{env_id} has no vector environment; use SB3's own make_vec_env for it.")
-    env: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
-        env_id,
-        num_envs=n_envs,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode=AutoresetMode.SAME_STEP.value,  # the spec's JSON cannot hold an enum
-        **(env_kwargs or {}),
-    )
+        raise UsageError(
+            f"{env_id} has no vector environment; use SB3's own make_vec_env for it, with "
+            "wrapper_class=PlanSpaceObservation if an agent is to see z."
+        )
+    try:
+        env: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
+            env_id,
+            num_envs=n_envs,
+            vectorization_mode="vector_entry_point",
+            autoreset_mode=AutoresetMode.SAME_STEP.value,  # the spec's JSON cannot hold an enum
+            **(env_kwargs or {}),
+        )
+    except TypeError as error:
+        if "autoreset_mode" not in str(error):
+            raise
+        raise UsageError(
+            f"the vector environment of {env_id} has no argument autoreset_mode, and SB3 needs 'SameStep'; "
+            "use SB3's own make_vec_env for it, with wrapper_class=PlanSpaceObservation if an agent is to "
+            "see z."
+        ) from error
     if embedding is not None:
         env = PlanSpaceVectorObservation(env, embedding, mode)
     ours = GymnasiumVecEnv(env)
@@ -104,7 +117,7 @@ class GymnasiumVecEnv(VecEnv):
         infos, ends = _one_by_one(info, self.num_envs), _one_by_one(final, self.num_envs)
         for i in np.flatnonzero(done):
             self.reset_infos[i] = infos[i]
-            infos[i] = ends[i] | {"terminal_observation": last[i]}
+            infos[i] = ends[i] | {"terminal_observation": last_observation(last, int(i))}
         for info_of_one, cut_off in zip(infos, (truncated & ~terminated).tolist(), strict=True):
             info_of_one["TimeLimit.truncated"] = cut_off
         return obs, rewards.astype(np.float32), done, infos

@@ -1,7 +1,6 @@
 """Wrappers that add potential-based shaping to the reward: progress towards the goal in z is rewarded."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from numbers import Real
 from pathlib import Path
 from typing import Any, SupportsFloat
@@ -11,8 +10,13 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from planspace.embed.embedding import Embedding, norm
-from planspace.envs.source import StateSource, source_of_columns, state_source, vector_state_source
+from planspace.embed.embedding import Embedding
+from planspace.envs.columns import Column
+from planspace.envs.final_observations import last_observations
+from planspace.envs.goal_states import Goal, goal_states
+from planspace.envs.input_check import InputCheck
+from planspace.envs.potential import RELABELLING, Potential, check_scale, find_goal
+from planspace.envs.source import state_source, vector_state_source
 from planspace.envs.wrapper_arguments import VectorWrapperBase, embedding_from, recorded, rows_of
 from planspace.errors import UsageError
 
@@ -29,22 +33,24 @@ class PlanSpaceShaping(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorA
         self,
         env: gymnasium.Env[Any, Any],
         embedding: str | Path | Embedding,
-        goal: Mapping[str, float] | Sequence[float] | None = None,
+        goal: Goal | None = None,
         scale: float = 1.0,
         discount: float = 0.99,
-        columns: Sequence[int] | None = None,
-        goal_columns: Sequence[int] | None = None,
+        columns: Sequence[Column] | None = None,
+        goal_columns: Sequence[Column] | None = None,
     ):
         """Wrap an environment.
 
         Args:
             env: the environment.
             embedding: the embedding or its folder.
-            goal: the goal state, as a mapping of names or as numbers in the embedding's order.
+            goal: the goal state, as a mapping of names or as numbers in the embedding's order. Instead of a
+                number, the place of one in the observation, such as {"x": "desired_goal[0]", "vx": 0.0} in a
+                goal environment. HER then needs `PlanSpaceHerReplayBuffer` or `copy_info_dict=True`.
             scale: reward for one unit of distance in z.
             discount: the discount that the agent uses.
             columns: columns of the state in the observation, as for `PlanSpaceObservation`.
-            goal_columns: columns of the goal's state in the observation, instead of `goal`.
+            goal_columns: columns of the goal's whole state in the observation, instead of `goal`.
 
         Raises:
             UsageError: the state or the goal cannot be read, or a number is out of range.
@@ -64,26 +70,50 @@ class PlanSpaceShaping(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorA
         super().__init__(env)
         self.embedding = embedding_from(embedding)
         source = state_source(env, self.embedding, columns)
-        self._potential = _potential(self.embedding, source, goal, goal_columns, env.observation_space, scale)
+        check = InputCheck(env, self.embedding, columns is not None)
+        found = goal_states(env, env.observation_space, self.embedding, find_goal(goal, goal_columns))
+        self._potential = Potential(self.embedding, source, check, found, check_scale(scale))
         self._discount = _checked_discount(discount)
-        self._before = 0.0
+        self._before, self._z = 0.0, np.empty(0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         obs, info = self.env.reset(seed=seed, options=options)
-        self._before = float(self._potential(obs, info))
+        self._z = self._potential.encode(obs, info)
+        self._before = float(self._potential.of(self._z, obs, info))
         info["shaping"] = 0.0
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Take a step."""
         obs, reward, terminated, truncated, info = self.env.step(action)
-        after = 0.0 if terminated else float(self._potential(obs, info))
+        z = self._potential.encode(obs, info)
+        after = 0.0 if terminated else float(self._potential.of(z, obs, info))
         info["shaping"] = self._discount * after - self._before
-        self._before = after
+        if self._potential.is_relabelled:
+            info[RELABELLING] = np.stack([self._z, np.full_like(z, np.nan) if terminated else z])
+        self._before, self._z = after, z
         return obs, float(reward) + info["shaping"], terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """Compute the reward of the environment and the shaping for other goals, as HER does.
+
+        Args:
+            achieved_goal: the achieved goal after the step, or a batch of them.
+            desired_goal: the goal to assume.
+            info: the info of the step, or a sequence of infos for a batch.
+
+        Raises:
+            UsageError: an info is not that of a step, so that the shaping cannot be computed.
+        """
+        reward = self.env.get_wrapper_attr("compute_reward")(achieved_goal, desired_goal, info)
+        if isinstance(info, dict):
+            goals = np.asarray(desired_goal)[None]
+            return reward + float(self._potential.relabelled_shaping([info], goals, self._discount)[0])
+        infos, goals = list(info), np.asarray(desired_goal)
+        return reward + self._potential.relabelled_shaping(infos, goals, self._discount)
 
 
 class PlanSpaceVectorShaping(VectorWrapperBase, RecordConstructorArgs):
@@ -93,11 +123,11 @@ class PlanSpaceVectorShaping(VectorWrapperBase, RecordConstructorArgs):
         self,
         env: VectorEnv[Any, Any, Any],
         embedding: str | Path | Embedding,
-        goal: Mapping[str, float] | Sequence[float] | None = None,
+        goal: Goal | None = None,
         scale: float = 1.0,
         discount: float = 0.99,
-        columns: Sequence[int] | None = None,
-        goal_columns: Sequence[int] | None = None,
+        columns: Sequence[Column] | None = None,
+        goal_columns: Sequence[Column] | None = None,
     ):
         """Wrap a vector environment; for arguments and errors see `PlanSpaceShaping`."""
         RecordConstructorArgs.__init__(
@@ -114,9 +144,10 @@ class PlanSpaceVectorShaping(VectorWrapperBase, RecordConstructorArgs):
         super().__init__(env)
         self.embedding = embedding_from(embedding)
         source = vector_state_source(env, self.embedding, columns)
-        self._potential = _potential(
-            self.embedding, source, goal, goal_columns, env.single_observation_space, scale
-        )
+        check = InputCheck(env, self.embedding, columns is not None)
+        space = env.single_observation_space
+        found = goal_states(env, space, self.embedding, find_goal(goal, goal_columns))
+        self._potential = Potential(self.embedding, source, check, found, check_scale(scale))
         self._discount = _checked_discount(discount)
         self._before = np.zeros(env.num_envs)
         self._restarting = np.zeros(env.num_envs, dtype=bool)
@@ -139,8 +170,8 @@ class PlanSpaceVectorShaping(VectorWrapperBase, RecordConstructorArgs):
         obs, rewards, terminated, truncated, info = self.env.step(actions)
         now = after = self._potential(obs, info)
         if "final_obs" in info:  # these episodes ended, and others started in the same step
-            ended, after = np.flatnonzero(info["_final_obs"]), now.copy()
-            last = np.stack(info["final_obs"][ended])
+            after = now.copy()
+            ended, last = last_observations(info)
             after[ended] = self._potential(last, rows_of(info.get("final_info", {}), ended))
         shaping = self._discount * np.where(terminated, 0.0, after) - self._before
         shaping[self._restarting] = 0.0
@@ -160,57 +191,6 @@ def _move_to_final_info(info: dict[str, Any], shaping: np.ndarray) -> None:
     final = info.setdefault("final_info", {})
     final.update(shaping=np.where(ended, shaping, 0.0), _shaping=ended.copy())
     info.setdefault("_final_info", ended.copy())
-
-
-@dataclass(frozen=True)
-class _Potential:
-    """Computes the potential of each state from (observation, info)."""
-
-    embedding: Embedding
-    source: StateSource
-    goal: np.ndarray | StateSource
-    """z of the goal, or what reads the states of the goals."""
-    scale: float
-
-    def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
-        encode, goal = self.embedding.encode, self.goal
-        z_goal = goal if isinstance(goal, np.ndarray) else encode(goal(obs, info))
-        return np.asarray(-self.scale * norm(encode(self.source(obs, info)) - z_goal), dtype=float)
-
-
-def _potential(
-    embedding: Embedding,
-    source: StateSource,
-    goal: Mapping[str, float] | Sequence[float] | None,
-    goal_columns: Sequence[int] | None,
-    space: gymnasium.Space[Any],
-    scale: float,
-) -> _Potential:
-    """Build the potential from the arguments of a shaping wrapper."""
-    if not (isinstance(scale, Real) and np.isfinite(scale) and scale > 0):
-        raise UsageError(f"scale must be a number above 0, got {scale!r}.")
-    if goal is not None and goal_columns is None:
-        return _Potential(embedding, source, embedding.encode(_goal_state(embedding, goal)), scale)
-    if goal_columns is not None and goal is None:
-        return _Potential(embedding, source, source_of_columns(space, embedding, goal_columns), scale)
-    raise UsageError("give either the goal, or goal_columns, the columns of the goal in the observation.")
-
-
-def _goal_state(embedding: Embedding, goal: Mapping[str, float] | Sequence[float]) -> np.ndarray:
-    """Return the goal as a state in the embedding's order."""
-    if isinstance(goal, Mapping):
-        where = embedding.columns_of(tuple(goal))
-        goal = [list(goal.values())[c] for c in where]
-    try:
-        state = np.asarray(goal, dtype=float)
-    except (TypeError, ValueError):
-        state = np.empty(0)
-    if state.shape != (embedding.state_dim,) or not np.isfinite(state).all():
-        names = ", ".join(embedding.inputs.names)
-        raise UsageError(
-            f"the goal must be a state of {embedding.state_dim} finite numbers ({names}), got {goal!r}."
-        )
-    return state
 
 
 def _checked_discount(discount: float) -> float:

@@ -1,30 +1,19 @@
 """Reading an embedding's state from an environment: by name, from MuJoCo's data, or from the observation."""
 
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
 
 from planspace.embed.embedding import Embedding
+from planspace.envs.columns import Column, Environment, read_columns
 from planspace.errors import UsageError
 from planspace.tasks.env_state import JointReader, joint_reader
 
 StateSource = Callable[[Any, dict[str, Any]], np.ndarray]
 """(observation, info) to the embedding's states, with the leading axes of the observation."""
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Reads columns of a flat observation."""
-
-    columns: list[int]
-
-    def __call__(self, obs: Any, info: dict[str, Any]) -> np.ndarray:
-        return obs[..., self.columns]
 
 
 @dataclass(frozen=True)
@@ -65,7 +54,7 @@ class _Info:
 
 
 def state_source(
-    env: gymnasium.Env[Any, Any], embedding: Embedding, columns: Sequence[int] | None
+    env: gymnasium.Env[Any, Any], embedding: Embedding, columns: Sequence[Column] | None
 ) -> StateSource:
     """Return what reads the embedding's state from a single environment.
 
@@ -79,7 +68,7 @@ def state_source(
         UsageError: the state cannot be read in any of these ways.
     """
     if columns is not None:
-        return source_of_columns(env.observation_space, embedding, columns)
+        return source_of_columns(env, env.observation_space, embedding, columns)
     inner: Any = env.unwrapped
     names = getattr(inner, "state_names", None)
     if names is not None:
@@ -99,7 +88,7 @@ def state_source(
 
 
 def vector_state_source(
-    env: gymnasium.vector.VectorEnv[Any, Any, Any], embedding: Embedding, columns: Sequence[int] | None
+    env: gymnasium.vector.VectorEnv[Any, Any, Any], embedding: Embedding, columns: Sequence[Column] | None
 ) -> StateSource:
     """Return what reads the embedding's states from a vector environment, all in one call.
 
@@ -113,7 +102,7 @@ def vector_state_source(
         UsageError: the states cannot be read in either way.
     """
     if columns is not None:
-        return source_of_columns(env.single_observation_space, embedding, columns)
+        return source_of_columns(env, env.single_observation_space, embedding, columns)
     names = _names_of_vector(env.unwrapped)
     if names is None:
         raise UsageError(
@@ -125,24 +114,25 @@ def vector_state_source(
 
 
 def source_of_columns(
-    space: gymnasium.Space[Any], embedding: Embedding, columns: Sequence[int]
+    env: Environment, space: gymnasium.Space[Any], embedding: Embedding, columns: Sequence[Column]
 ) -> StateSource:
-    """Return what reads states from columns of a flat observation.
+    """Return what reads states from columns of the observation.
+
+    Args:
+        env: the environment.
+        space: the observation space of a single environment.
+        embedding: the embedding.
+        columns: the columns, as for `PlanSpaceObservation`.
 
     Raises:
-        UsageError: the observation is not flat, or the columns have the wrong number or lie outside it.
+        UsageError: the columns have the wrong number or cannot be read; see `read_columns`.
     """
-    if not isinstance(space, Box) or len(space.shape) != 1:
-        raise UsageError(f"columns need a flat Box, and the observation space is {space}.")
-    try:
-        columns = [operator.index(c) for c in columns if not isinstance(c, bool)]
-    except TypeError:
-        raise UsageError(f"columns must be whole numbers, got {columns!r}.") from None
+    if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
+        raise UsageError(f"columns must be a list of numbers or names, got {columns!r}.")
+    reader = read_columns(env, space, columns)
     if len(columns) != embedding.state_dim:
         raise UsageError(f"{_wanted(embedding)}, got {len(columns)} columns.")
-    if not all(0 <= c < space.shape[0] for c in columns):
-        raise UsageError(f"columns {list(columns)} reach outside an observation of {space.shape[0]} numbers.")
-    return _Columns(columns)
+    return reader
 
 
 def _names_of_vector(inner: Any) -> Sequence[str] | None:
@@ -163,7 +153,10 @@ def _found(embedding: Embedding, names: Sequence[str]) -> list[int]:
 
 
 def _columns_help(embedding: Embedding) -> str:
-    return f"Give columns=[...], the columns of the observation that hold ({_names(embedding)})."
+    return (
+        f"Give columns=[...], the columns of the observation that hold ({_names(embedding)}): numbers, or "
+        "names such as 'observation[0]' if it is a dictionary."
+    )
 
 
 def _wanted(embedding: Embedding) -> str:
