@@ -260,3 +260,27 @@ def test_overflow_is_refused_without_a_warning(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,x\n-1.7e308,-1e308\n0,1e308\n1.7e308,-1e308\n")
     with pytest.raises(PlanspaceError, match="time that is not finite"):
         import_demos([str(tmp_path / "a.csv")], tmp_path / "out", info, ImportOptions())
+
+
+@pytest.mark.parametrize("target", ["minari:mine-v0", "lerobot:{}/set", "{}/set.hdf5"])
+def test_exports_are_imported_unchanged(
+    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """Names that suggest angles, full turns, wrapped angles, uneven steps and long gaps stay as they are."""
+    for module in ("minari", "pyarrow", "h5py"):
+        pytest.importorskip(module)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    info = StateInfo(
+        ("yaw", "heading_deg", "frame_index", "qw", "qx", "qy", "qz"), ("", "deg", *[""] * 5), (0,), 1
+    )
+    turns = np.random.default_rng(0).uniform(-10, 10, (3, 20, 7))
+    turns[..., 3:] /= np.linalg.norm(turns[..., 3:], axis=-1, keepdims=True)
+    times = np.cumsum([0, *[0.1] * 10, 5.0, *[0.03] * 8])
+    episodes = [recorded(states, states[:-1, :1], times, i) for i, states in enumerate(turns)]
+    demos = Demos.from_episodes(info, episodes)
+    source = target.format(tmp_path)
+    export_demos(demos, source)
+    capsys.readouterr()
+    import_demos([source], tmp_path / "out", None, ImportOptions())
+    assert load_demos(tmp_path / "out").hash == demos.hash
+    assert capsys.readouterr().err == ""

@@ -45,19 +45,20 @@ class Meaning:
         return replace(episode, states=states, goal=goal)
 
 
-def declare_states(info: StateInfo, survey: Survey, options: ImportOptions) -> Meaning:
+def declare_states(info: StateInfo, survey: Survey, options: ImportOptions, *, guess: bool = True) -> Meaning:
     """Decide what the states of a source mean.
 
     Args:
         info: what the format or the planning problem says.
         survey: statistics of the states.
         options: what the user declares.
+        guess: whether to guess what neither of them says.
 
     Raises:
         UsageError: an option names a state that does not exist, or contradicts another.
     """
     names, units = info.names, list(info.units)
-    free = info.source is None and not info.problem  # a model says what its states are
+    free = guess and info.source is None and not info.problem  # a model says what its states are
     notes = [""] * len(names)
     for name, unit in options.units.items():
         if name in names:
@@ -196,7 +197,7 @@ def _arrange(
             )
         if RADIANS[unit] != 1.0:
             factors[column], notes[column] = RADIANS[unit], f"{notes[column]}; converted from {unit}"
-        units[column] = "rad"
+        units[column] = "rad" if note or units[column] else ""
     same = columns == list(range(len(info.names)))
     chosen = info if same else info.choose(tuple(info.names[c] for c in columns), columns)
     return Meaning(

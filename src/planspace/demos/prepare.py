@@ -56,6 +56,8 @@ def prepare(
     """
     if not imported.info.names:
         raise PlanspaceError(f"{source}: its states are empty.")
+    if imported.exported and options.rate is None and options.gaps == "refuse":
+        options = replace(options, as_recorded=True)
     cleaning, survey, origins = Cleaning(), Survey(len(imported.info.names), imported.info.num_controls), []
     episodes = cleaning.clean_rows(_checked(imported, source), as_recorded=options.as_recorded)
     episodes = progress_over(_surveyed(episodes, survey, origins), "read", unit="demo")
@@ -63,7 +65,7 @@ def prepare(
     if recorded is None:
         why = "; ".join(cleaning.notices(options.gaps)) or "there are no demonstrations"
         raise PlanspaceError(f"{source}: {why}.")
-    meaning = declare_states(imported.info, survey, options)
+    meaning = declare_states(imported.info, survey, options, guess=not imported.exported)
     show(import_table(imported, meaning, survey, len(recorded)))
     demos = _declare(recorded, origins, meaning, imported.keep_angles, cleaning, options, staging)
     notices = [*imported.notices, *cleaning.notices(options.gaps)]

@@ -84,6 +84,9 @@ class Imported:
     """What the reader assumed, one line each."""
     keep_angles: bool = False
     """Whether to keep full turns in angles, instead of shifting each angle to end in (-pi, pi]."""
+    exported: bool = False
+    """Whether planspace exported the source: its states have a meaning already, and they are stored unchanged
+    unless an option asks for something else."""
     uses: tuple["Use", ...] = ()
     """How the columns of a table are used; empty if the source is not a table."""
     splits: Mapping[str, Sequence[int]] = field(default_factory=dict)

@@ -99,7 +99,7 @@ def read_lerobot(sources: Sequence[str], info: StateInfo | None, options: Import
         notices += _left_out(layout, options)
         notices += [] if layout.controls else [NO_CONTROLS]
     episodes = _episodes(layout, files, info or own, options)
-    return Imported(info or own, episodes, tuple(notices), keep_angles=exported is not None)
+    return Imported(info or own, episodes, tuple(notices), exported=exported is not None)
 
 
 # --- choosing columns -------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def read_minari(sources: Sequence[str], info: StateInfo | None, options: ImportO
         if options.states:
             info = replace(info, names=tuple(options.states))
         episodes = itertools.chain([first], episodes)
-    return Imported(info, episodes, () if ours else notices)
+    return Imported(info, episodes, () if ours else notices, exported=ours is not None)
 
 
 def _load(dataset_id: str) -> tuple[Mapping[str, Any], Iterator[tuple[Any, dict[str, Any]]]]:

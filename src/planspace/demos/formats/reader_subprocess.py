@@ -56,7 +56,7 @@ def read_in_subprocess(
     except BaseException:
         staging.cleanup()
         raise
-    return Imported(stored.info, _episodes(stored, staging), tuple(answer["notices"]))
+    return Imported(stored.info, _episodes(stored, staging), tuple(answer["notices"]), **answer["known"])
 
 
 def _episodes(stored: StoredDemos, staging: tempfile.TemporaryDirectory) -> Iterator[Episode]:
@@ -71,7 +71,8 @@ def _work(request: dict[str, Any]) -> dict[str, Any]:
     info = parse_info(request["info"]) if request["info"] else None
     imported = FORMATS[request["format"]].read(request["sources"], info, ImportOptions(**request["options"]))
     DemoFolder(Path(request["out"]), imported.info, {}).extend(imported.episodes)
-    return {"notices": imported.notices}
+    splits = {name: list(numbers) for name, numbers in imported.splits.items()}
+    return {"notices": imported.notices, "known": {"exported": imported.exported, "splits": splits}}
 
 
 if __name__ == "__main__":

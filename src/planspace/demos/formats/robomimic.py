@@ -107,7 +107,8 @@ def read_robomimic(sources: Sequence[str], info: StateInfo | None, options: Impo
             f"{first.path} has no array 'states'; choose the states with --state NAME=KEY[INDEX], where KEY "
             "is an array in 'obs'."
         )
-    return Imported(info, _episodes(files, info, options), tuple(dict.fromkeys(first.notices)))
+    notices = tuple(dict.fromkeys(first.notices))
+    return Imported(info, _episodes(files, info, options), notices, exported=first.exported)
 
 
 def _read_file(path: Path, options: ImportOptions) -> _Recorded:
