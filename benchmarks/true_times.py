@@ -2,6 +2,7 @@
 
     planspace plan pendulum --num 30 --seed 1000 --out plans
     python benchmarks/true_times.py pendulum --plans plans --out truth.npz
+    python benchmarks/true_times.py cartpole-swingup --method plans --out box.npz
 
 Half of the pairs lie on plans that no embedding was trained on: two states of one plan, and the time between
 them along the plan. The other half do not. Their states and goals are states of motions under random controls
@@ -12,6 +13,10 @@ that begin in the problem's start box, no faster than the problem's `sample_velo
 - `polish` (default otherwise): motions at full control that switches at random times, polished to the
   shortest duration between their ends, and then treated as the plans are. The ends of `--checks` motions are
   planned from nothing, and the two durations are compared.
+- `plans`: goals and states are drawn uniformly from the start box, and from each state a plan to the goal is
+  made from nothing; its duration is an upper bound of the shortest time. Pairs without a plan are left out
+  and counted. No pairs lie on known plans, so `--plans` is not needed. `--checks` pairs of each goal are
+  planned again with ten searches instead of two, and the two durations are compared.
 
 A goal is reached at the problem's tolerance. Results are kept in FILE.parts, so the same command goes on.
 """
@@ -97,6 +102,11 @@ class Plant:
             kept.append(states[valid & slow])
         return self.space.normalise(rng.choice(np.concatenate(kept), num, replace=False))
 
+    def box_states(self, num: int, rng: np.random.Generator) -> np.ndarray:
+        """States drawn uniformly from the start box."""
+        simulator = Simulator(self.model, self.space, 1, threads=1)
+        return np.stack([self.problem.draw_start(simulator, rng) for _ in range(num)])
+
     def random_motion(self, start: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """States and controls from a start at full control: of `TRIES` the one that stays valid longest."""
         num_steps = round(rng.uniform(*MOTION_S) / self.dt)
@@ -171,6 +181,20 @@ def pairs_polished(plant: Plant, starts: np.ndarray, checks: int, rng: np.random
     return pairs | {"duration": np.array(durations), "check": np.array(again)}
 
 
+def pairs_planned(plant: Plant, goal: Goal, num: int, checks: int, rng: np.random.Generator) -> Pairs:
+    """Durations of plans from states of the start box to one goal, and of the best of ten searches."""
+    states = plant.box_states(num, rng)
+    plans = [planned(plant, x, goal, rng) for x in states]
+    times = np.array([_duration(plant, plan) for plan in plans])
+    times[goal.reached(states)] = 0.0
+    pairs = _pairs(states, goal.center, times)
+    longer = PlanConfig.for_problem(plant.problem, restarts=10)
+    again = [planned(plant, x, goal, rng, longer) for x in states[:checks]]
+    kept = np.isfinite(times)
+    checked = {"duration": times[:checks], "check": np.array([_duration(plant, plan) for plan in again])}
+    return {name: rows[kept] for name, rows in pairs.items()} | checked
+
+
 def pairs_on_paths(plant: Plant, paths: Sequence[np.ndarray], num: int, rng: np.random.Generator) -> Pairs:
     """Two states of one path, and the time until the path enters the goal region of the later one."""
     rows = []
@@ -211,10 +235,14 @@ def build(options: argparse.Namespace) -> None:
     """Compute the pairs part by part, and write them to one file."""
     plant = Plant(load_problem(options.problem))
     rng = np.random.default_rng(options.seed)
-    goals = plant.random_states(options.goals, rng)
-    on_grid = plant.space.size <= 2 if options.method is None else options.method == "grid"
-    per_goal = -(-options.pairs // (2 * options.goals))
-    starts = plant.random_states(options.goals * (per_goal if on_grid else -(-per_goal // ALONG)), rng)
+    method = options.method or ("grid" if plant.space.size <= 2 else "polish")
+    if method == "plans":
+        goals, per_goal = plant.box_states(options.goals, rng), -(-options.pairs // options.goals)
+        starts = np.empty((0, plant.space.size))  # each part draws its own
+    else:
+        goals, per_goal = plant.random_states(options.goals, rng), -(-options.pairs // (2 * options.goals))
+        num = per_goal if method == "grid" else -(-per_goal // ALONG)
+        starts = plant.random_states(options.goals * num, rng)
     parts = options.out.with_suffix(".parts")
     parts.mkdir(parents=True, exist_ok=True)
     for k, (center, x) in enumerate(zip(goals, np.split(starts, options.goals), strict=True)):
@@ -222,7 +250,9 @@ def build(options: argparse.Namespace) -> None:
         if path.exists():
             continue
         began, own = time.perf_counter(), np.random.default_rng([options.seed, k])
-        if on_grid:
+        if method == "plans":
+            part = pairs_planned(plant, plant.goal(center), per_goal, options.checks, own)
+        elif method == "grid":
             part = pairs_on_grid(plant, plant.goal(center), x, options.checks, own)
         else:
             part = pairs_polished(plant, x, options.checks, own)
@@ -231,14 +261,25 @@ def build(options: argparse.Namespace) -> None:
         print(f"part {k}: {len(part['time'])} pairs, {part['seconds']:.0f} s", flush=True)
     found = [dict(np.load(path)) for path in sorted(parts.glob("part-*.npz"))]
     off = {name: np.concatenate([part[name] for part in found]) for name in ("states", "goals", "time")}
-    compare(found, on_grid)
+    compare(found, method == "grid")
+    if method == "plans":
+        np.savez_compressed(options.out, **off)
+        print(
+            f"{options.out}: {len(off['time'])} of {per_goal * options.goals} pairs, {seconds(found):.0f} s"
+        )
+        return
     demos = load_demos(options.plans)
     paths = [demos.episode(i).states for i in range(len(demos))]
     on = pairs_on_paths(plant, paths, len(off["time"]), rng)
     joined = {name: np.concatenate([on[name], off[name]]) for name in off}
     on_plans = np.arange(len(joined["time"])) < len(on["time"])
     np.savez_compressed(options.out, **joined, on_plans=on_plans)
-    print(f"{options.out}: {len(on_plans)} pairs, {sum(p['seconds'] for p in found):.0f} s")
+    print(f"{options.out}: {len(on_plans)} pairs, {seconds(found):.0f} s")
+
+
+def seconds(found: list[Pairs]) -> float:
+    """The time that the parts took [s]."""
+    return float(sum(part["seconds"] for part in found))
 
 
 def compare(found: list[Pairs], on_grid: bool) -> None:
@@ -258,14 +299,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("problem")
-    parser.add_argument("--plans", type=Path, required=True, help="plans that no embedding was trained on")
+    parser.add_argument("--plans", type=Path, help="plans that no embedding was trained on")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--goals", type=int, default=20, help="goals of the grid, or parts")
     parser.add_argument("--pairs", type=int, default=2000)
     parser.add_argument("--checks", type=int, default=1, help="checked pairs per goal or part")
-    parser.add_argument("--method", choices=("grid", "polish"), help="default: grid for two numbers")
+    parser.add_argument("--method", choices=("grid", "polish", "plans"), help="default: grid or polish")
     parser.add_argument("--seed", type=int, default=1)
-    build(parser.parse_args())
+    options = parser.parse_args()
+    if options.plans is None and options.method != "plans":
+        parser.error("give --plans, a dataset that no embedding was trained on")
+    build(options)
 
 
 def _chunks(rows: np.ndarray) -> list[np.ndarray]:
