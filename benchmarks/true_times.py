@@ -2,7 +2,7 @@
 
     planspace plan pendulum --num 30 --seed 1000 --out plans
     python benchmarks/true_times.py pendulum --plans plans --out truth.npz
-    python benchmarks/true_times.py cartpole-swingup --method plans --out box.npz
+    python benchmarks/true_times.py cartpole-swingup --method polish --from-box --out box.npz
 
 Half of the pairs lie on plans that no embedding was trained on: two states of one plan, and the time between
 them along the plan. The other half do not. Their states and goals are states of motions under random controls
@@ -13,10 +13,9 @@ that begin in the problem's start box, no faster than the problem's `sample_velo
 - `polish` (default otherwise): motions at full control that switches at random times, polished to the
   shortest duration between their ends, and then treated as the plans are. The ends of `--checks` motions are
   planned from nothing, and the two durations are compared.
-- `plans`: goals and states are drawn uniformly from the start box, and from each state a plan to the goal is
-  made from nothing; its duration is an upper bound of the shortest time. Pairs without a plan are left out
-  and counted. No pairs lie on known plans, so `--plans` is not needed. `--checks` pairs of each goal are
-  planned again with ten searches instead of two, and the two durations are compared.
+
+With `--from-box`, the motions of `polish` begin at states drawn uniformly from the start box, each motion is
+one pair with its own goal, and no pairs on known plans are added.
 
 A goal is reached at the problem's tolerance. Results are kept in FILE.parts, so the same command goes on.
 """
@@ -163,9 +162,19 @@ def pairs_on_grid(
     return pairs | {"check": np.array([_duration(plant, plan) for plan in plans])}
 
 
-def pairs_polished(plant: Plant, starts: np.ndarray, checks: int, rng: np.random.Generator) -> Pairs:
-    """Pairs on motions from some states, polished; and durations of the motions, polished and planned."""
-    paths, durations, again = [], [], []
+def pairs_polished(
+    plant: Plant, starts: np.ndarray, checks: int, rng: np.random.Generator, *, whole: bool = False
+) -> Pairs:
+    """Pairs on motions from some states, polished; and durations of the motions, polished and planned.
+
+    Args:
+        plant: the problem.
+        starts: where the motions begin.
+        checks: number of motions whose ends are planned from nothing, too.
+        rng: the source of randomness.
+        whole: take the two ends of each motion as one pair, instead of pairs along it.
+    """
+    paths, goals, durations, again = [], [], [], []
     for start in starts:
         motion, controls = plant.random_motion(start, rng)
         goal = plant.goal(motion[-1])
@@ -174,25 +183,16 @@ def pairs_polished(plant: Plant, starts: np.ndarray, checks: int, rng: np.random
         path = planned(plant, start, goal, rng, PlanConfig(planner=Known(controls), restarts=1))
         if path is not None:
             paths.append(path.states)
+            goals.append(motion[-1])
             durations.append(_duration(plant, path))
             if len(again) < checks:
                 again.append(_duration(plant, planned(plant, start, goal, rng)))
-    pairs = pairs_on_paths(plant, paths, ALONG * len(paths), rng)
+    if whole:
+        begun = np.array([path[0] for path in paths])
+        pairs = {"states": begun, "goals": np.array(goals), "time": np.array(durations)}
+    else:
+        pairs = pairs_on_paths(plant, paths, ALONG * len(paths), rng)
     return pairs | {"duration": np.array(durations), "check": np.array(again)}
-
-
-def pairs_planned(plant: Plant, goal: Goal, num: int, checks: int, rng: np.random.Generator) -> Pairs:
-    """Durations of plans from states of the start box to one goal, and of the best of ten searches."""
-    states = plant.box_states(num, rng)
-    plans = [planned(plant, x, goal, rng) for x in states]
-    times = np.array([_duration(plant, plan) for plan in plans])
-    times[goal.reached(states)] = 0.0
-    pairs = _pairs(states, goal.center, times)
-    longer = PlanConfig.for_problem(plant.problem, restarts=10)
-    again = [planned(plant, x, goal, rng, longer) for x in states[:checks]]
-    kept = np.isfinite(times)
-    checked = {"duration": times[:checks], "check": np.array([_duration(plant, plan) for plan in again])}
-    return {name: rows[kept] for name, rows in pairs.items()} | checked
 
 
 def pairs_on_paths(plant: Plant, paths: Sequence[np.ndarray], num: int, rng: np.random.Generator) -> Pairs:
@@ -235,14 +235,13 @@ def build(options: argparse.Namespace) -> None:
     """Compute the pairs part by part, and write them to one file."""
     plant = Plant(load_problem(options.problem))
     rng = np.random.default_rng(options.seed)
-    method = options.method or ("grid" if plant.space.size <= 2 else "polish")
-    if method == "plans":
-        goals, per_goal = plant.box_states(options.goals, rng), -(-options.pairs // options.goals)
-        starts = np.empty((0, plant.space.size))  # each part draws its own
+    goals = plant.random_states(options.goals, rng)
+    on_grid = plant.space.size <= 2 if options.method is None else options.method == "grid"
+    if options.from_box:
+        starts = plant.box_states(options.goals * -(-options.pairs // options.goals), rng)
     else:
-        goals, per_goal = plant.random_states(options.goals, rng), -(-options.pairs // (2 * options.goals))
-        num = per_goal if method == "grid" else -(-per_goal // ALONG)
-        starts = plant.random_states(options.goals * num, rng)
+        per_goal = -(-options.pairs // (2 * options.goals))
+        starts = plant.random_states(options.goals * (per_goal if on_grid else -(-per_goal // ALONG)), rng)
     parts = options.out.with_suffix(".parts")
     parts.mkdir(parents=True, exist_ok=True)
     for k, (center, x) in enumerate(zip(goals, np.split(starts, options.goals), strict=True)):
@@ -250,12 +249,10 @@ def build(options: argparse.Namespace) -> None:
         if path.exists():
             continue
         began, own = time.perf_counter(), np.random.default_rng([options.seed, k])
-        if method == "plans":
-            part = pairs_planned(plant, plant.goal(center), per_goal, options.checks, own)
-        elif method == "grid":
+        if on_grid:
             part = pairs_on_grid(plant, plant.goal(center), x, options.checks, own)
         else:
-            part = pairs_polished(plant, x, options.checks, own)
+            part = pairs_polished(plant, x, options.checks, own, whole=options.from_box)
         part["seconds"] = np.array(time.perf_counter() - began)
         np.savez(path, **part)
         print(f"part {k}: {len(part['time'])} pairs, {part['seconds']:.0f} s", flush=True)
@@ -304,10 +301,15 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=20, help="goals of the grid, or parts")
     parser.add_argument("--pairs", type=int, default=2000)
     parser.add_argument("--checks", type=int, default=1, help="checked pairs per goal or part")
-    parser.add_argument("--method", choices=("grid", "polish", "plans"), help="default: grid or polish")
+    parser.add_argument("--method", choices=("grid", "polish"), help="default: grid for two numbers")
+    parser.add_argument(
+        "--from-box", action="store_true", help="motions from uniform states of the start box"
+    )
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    if options.plans is None and options.method != "plans":
+    if options.from_box and options.method != "polish":
+        parser.error("--from-box needs --method polish")
+    if options.plans is None and not options.from_box:
         parser.error("give --plans, a dataset that no embedding was trained on")
     build(options)
 
