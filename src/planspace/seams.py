@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 from planspace.errors import UsageError, did_you_mean, quoted, unknown
 
 Seam = TypeVar("Seam")
+UNSET_IF_NONE = {"unset": None}
+"""The metadata of a dataclass field that `plain_settings` leaves out if it is None."""
 
 
 def load_object(where: str) -> Any:
@@ -137,14 +139,20 @@ def _fields(given: Any) -> tuple[Field[Any], ...]:
     return fields(given) if is_dataclass(given) else ()
 
 
+def _is_unset(f: Field[Any], owner: Any) -> bool:
+    return bool(f.metadata.keys() & UNSET_IF_NONE) and getattr(owner, f.name) is None
+
+
 def plain_settings(value: Any) -> Any:
     """Turn nested settings into plain data for JSON and hashing.
 
     Dataclasses become mappings of their fields. A seam object also records its `name`, and one that is not
-    shipped records the SHA-256 of its source, so that changed code is a changed setting.
+    shipped records the SHA-256 of its source, so that changed code is a changed setting. A field with
+    `UNSET_IF_NONE` is left out if it is None, as in files of versions that did not have it.
     """
     if is_dataclass(value) and not isinstance(value, type):
-        own = {f.name: plain_settings(getattr(value, f.name)) for f in fields(value)}
+        given = {f.name: getattr(value, f.name) for f in fields(value) if not _is_unset(f, value)}
+        own = {name: plain_settings(item) for name, item in given.items()}
         return _identity(value) | own
     if isinstance(value, Mapping):
         return {key: plain_settings(item) for key, item in value.items()}

@@ -130,13 +130,13 @@ def test_settings_of_version_0_1_0_are_read_under_today_s_names() -> None:
     ompl = saved | {"planner": "ompl-rrt", "config": saved["config"] | {"restarts": 2}}
     config = replace(config, planner=PLANNERS["ompl-rrt"])
     assert upgrade_settings(ompl, 0.02)["config"] == without_trees(config)  # pyright: ignore
+    for malformed in ({}, {"planner": {}, "config": {}}, {"planner": "sst", "config": {"sst": 1}}):
+        assert upgrade_settings(malformed, 0.02) == malformed  # pyright: ignore
 
 
 def without_trees(config: PlanConfig) -> dict[str, object]:
     """What a manifest records of settings that keep no search trees."""
     return {name: value for name, value in plain_settings(config).items() if name not in TREE_SETTINGS}
-    for malformed in ({}, {"planner": {}, "config": {}}, {"planner": "sst", "config": {"sst": 1}}):
-        assert upgrade_settings(malformed, 0.02) == malformed  # pyright: ignore
 
 
 def test_settings_that_an_earlier_version_did_not_have_get_their_defaults() -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -24,7 +24,13 @@ from planspace.errors import UsageError
 from planspace.mjcf.assets import ASSETS
 from planspace.plan.config import PlanConfig, find_planner
 
+if TYPE_CHECKING:
+    from planspace.embed.planning_metric import PlanningMetric
+    from planspace.tasks.problem import Problem
+
 PROBLEMS = sorted(path.stem for path in ASSETS.glob("*.yaml"))
+PATH_OPTIONS = ("--config", "--out", "--planner", "--metric")
+"""Options whose values could look like the problem."""
 PROBLEM_HELP = f"One of {', '.join(PROBLEMS)}; or the path of your own problem file."
 
 
@@ -57,6 +63,9 @@ class Plan:
         arg(metavar="{duration,effort}", help_behavior_hint="(default: the problem's, duration)"),
     ] = None
     """What plans are compared and shortened by."""
+    metric: Annotated[Path | None, arg(metavar="EMBEDDING", help_behavior_hint="(default: none)")] = None
+    """An embedding of the same joints: sst extends the nodes nearest to the goal more often, by the time to
+    go or, without a time head, by the distance in z."""
     no_polish: bool = False
     """Keep what the planner found, instead of shortening each plan and landing it on its goal."""
     settings: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="KEY=VALUE")]] = ()
@@ -104,16 +113,27 @@ class Plan:
         config = self.config
         if self.no_polish:
             config = replace(config, polish=replace(config.polish, max_iterations=0))
+        if self.metric is not None:
+            config = replace(config, metric=_metric(self.metric, problem))
         folder = plan_into(
             problem, self.out, num=self.num, seed=self.seed, config=config, workers=self.workers or None
         )
         print(f"{counted(folder.num_episodes, 'demonstration')} in {self.out}")
 
 
+def _metric(folder: Path, problem: "Problem") -> "PlanningMetric":
+    """The metric of an embedding's folder, for states of a problem."""
+    from planspace.embed.planning_metric import PlanningMetric
+    from planspace.embed.saved_embedding import load_embedding
+
+    embedding = load_embedding(folder)
+    return PlanningMetric(embedding, embedding.columns_of(problem.compile()[1].names))
+
+
 def _named_problem(arguments: Sequence[str]) -> str | None:
     """The problem that a command line names, found before its options are parsed."""
     for position, argument in enumerate(arguments):
-        is_option_value = position > 0 and arguments[position - 1] in ("--config", "--out", "--planner")
+        is_option_value = position > 0 and arguments[position - 1] in PATH_OPTIONS
         if not is_option_value and (argument in PROBLEMS or argument.endswith((".yaml", ".yml"))):
             return argument
     return None

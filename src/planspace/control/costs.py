@@ -55,16 +55,10 @@ def make_cost(plant: Plant, config: ControlConfig, target: np.ndarray, embedding
 
 def goal_distance(plant: Plant, goal: Goal, measure: Measure) -> Distance:
     """Distance to the nearest state of the goal region."""
-    free = goal.weights == 0
-    if not free.any() and not goal.half.any():
+    if goal.weights.all() and not goal.half.any():
         return lambda states: measure(states, goal.center)
 
-    def distance(states: np.ndarray) -> np.ndarray:
-        off = plant.space.difference(states, goal.center)
-        nearest = np.where(free, off, np.clip(off, -goal.half, goal.half))
-        return measure(states, plant.space.integrate(goal.center, nearest))
-
-    return distance
+    return lambda states: measure(states, goal.nearest(states))
 
 
 def _input_distance(embedding: Embedding) -> Measure:

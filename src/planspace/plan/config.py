@@ -4,14 +4,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import Suppress, arg
 
 from planspace.errors import UsageError, check_setting, unknown
 from planspace.plan.durations import in_seconds
+from planspace.plan.metric import Metric, check_metric
 from planspace.plan.planner import PAGE, Planner, as_planner
 from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
-from planspace.seams import check_fits
+from planspace.seams import UNSET_IF_NONE, check_fits
 
 if TYPE_CHECKING:
     from planspace.tasks.problem import Problem
@@ -113,14 +114,20 @@ class PlanConfig:
     """Largest number of nodes of a stored tree. Of a larger tree, random nodes and their ancestors are
     stored."""
 
+    metric: Annotated[Metric | None, Suppress] = field(default=None, metadata=UNSET_IF_NONE)
+    """How far states are from a goal, for example `embedding.time_to_go`: sst then extends the nodes nearest
+    to the goal more often; see its setting `greedy`."""
+
     def __post_init__(self) -> None:
-        """Check the planner, the restarts and the number of nodes.
+        """Check the planner, the restarts, the number of nodes and the metric.
 
         Raises:
-            UsageError: the object is no `Planner`, or a number is below 1.
+            UsageError: the object is no `Planner`, a number is below 1, or the planner uses no metric.
         """
         check_setting("tree_nodes", self.tree_nodes, self.tree_nodes >= 1, "at least 1")
         check_fits(self.planner, Planner, PAGE)
+        if self.metric is not None:
+            check_metric(self.metric, self.planner)
         check_setting("restarts", self.restarts, self.restarts is None or self.restarts >= 1, "at least 1")
 
     @property

@@ -22,6 +22,7 @@ from planspace.errors import PartialResult, UsageError
 from planspace.physics.simulator import Simulator
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig, find_planner
 from planspace.plan.durations import in_seconds
+from planspace.plan.metric import Metric, describe_metric
 from planspace.plan.pipeline import MAX_ATTEMPTS
 from planspace.plan.planner import Failure, check_problem
 from planspace.plan.planners import PLANNERS
@@ -48,6 +49,7 @@ def plan_demos(  # noqa: PLR0913
     *,
     planner: Any = None,
     config: PlanConfig | None = None,
+    metric: Metric | None = None,
     out: str | Path | None = None,
     seed: int = 0,
     workers: int | None = None,
@@ -64,6 +66,8 @@ def plan_demos(  # noqa: PLR0913
         planner: a name in `PLANNERS`, an object that fits the protocol `Planner`, or a function
             `plan(query, rng)`. By default that of `config`, or the problem's own.
         config: settings of planner, polish and regulator; by default the problem's own.
+        metric: how far states are from a goal, for example `embedding.time_to_go` of an embedding of such
+            states; the search extends the nodes nearest to the goal more often. By default that of `config`.
         out: a dataset folder. The plans that it already holds are kept. By default the plans are only
             returned.
         seed: seed of all starts, goals and searches.
@@ -84,6 +88,8 @@ def plan_demos(  # noqa: PLR0913
         config = PlanConfig.for_problem(problem, planner=planner)
     elif planner is not None:
         config = replace(config, planner=find_planner(planner))
+    if metric is not None:
+        config = replace(config, metric=metric)
     with tempfile.TemporaryDirectory() as temporary, progress_shown(verbose):
         folder = _plan_missing(problem, Path(temporary if out is None else out), num, seed, config, workers)
         report = _report_failures(folder)
@@ -143,9 +149,11 @@ def state_info(problem: Problem) -> StateInfo:
 
 def _settings(problem: Problem, config: PlanConfig, seed: int) -> DatasetSettings:
     """What decides the content of a dataset, as the manifest records it."""
-    plain = plain_settings(replace(config, restarts=config.num_searches))
+    plain = plain_settings(replace(config, restarts=config.num_searches, metric=None))
     if not config.keep_trees:  # then the manifest is what versions without search trees wrote
         plain = {name: value for name, value in plain.items() if name not in TREE_SETTINGS}
+    if config.metric is not None:
+        plain["metric"] = describe_metric(config.metric)
     return {
         "problem": problem.hash,
         "seed": seed,
@@ -179,7 +187,7 @@ def upgrade_settings(settings: DatasetSettings, time_step: float) -> DatasetSett
         for part, saved in parts.items()
     }
     current["restarts"] = config.get("restarts") if group == SST.name or group not in config else 1
-    current |= {name: config[name] for name in TREE_SETTINGS if name in config}
+    current |= {name: config[name] for name in (*TREE_SETTINGS, "metric") if name in config}
     return settings | DatasetSettings(config=current)
 
 

@@ -103,7 +103,7 @@ class Pipeline:
     def query(self, start: Float[np.ndarray, " state"], goal: Goal) -> Query:
         """What a planner is given: one instance of the problem."""
         regulator = Regulator(self.simulator, goal, self.weights, self.config.regulator)
-        return Query(self.problem, start, goal, self.simulator, regulator)
+        return Query(self.problem, start, goal, self.simulator, regulator, self.config.metric)
 
     def _draw(self, rng: np.random.Generator) -> tuple[np.ndarray, Goal]:
         """A start and a goal; the start does not lie in the goal region."""

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
+from planspace.plan.metric import Metric
 from planspace.plan.regulator import Regulator
 from planspace.tasks.problem import Goal, Problem
 
@@ -26,6 +27,8 @@ class Query:
     """Simulations that are stepped side by side. Planners may overwrite their states."""
     regulator: Regulator
     """A linear quadratic regulator about the goal, for the last part of a path."""
+    metric: Metric | None = None
+    """How far states are from a goal, if the user gave such a function; see `plan.metric`."""
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -55,8 +55,8 @@ class SST:
     """Fraction of the other edges that drive the motors' joints to a random pose, instead of applying one
     control."""
     greedy: float = 0.0
-    """Fraction of extensions that start from nodes near the goal, in the goal's measure, instead of nodes
-    near a random state."""
+    """Fraction of extensions that start from nodes near the goal instead of nodes near a random state. Near
+    is measured as the goal measures it, or by --metric; with a metric, 0 means 0.25."""
     selection_radius: float = 0.3
     """Best-near selection chooses the cheapest node within this feature distance."""
     witness_size: float = 0.08

@@ -24,6 +24,7 @@ from planspace.demos.search_tree import SearchTree
 from planspace.physics.simulator import Simulator
 from planspace.plan.diagnosis import explain_failure
 from planspace.plan.durations import num_steps
+from planspace.plan.metric import checked_distances
 from planspace.plan.primitives import Edges, Servo
 from planspace.plan.query import Query
 from planspace.plan.sst import SST
@@ -33,6 +34,8 @@ CHECK_S = 0.01
 """Time between two checks of the states along an edge [s]; at least one physics step."""
 LEAST_CELLS = 0.25
 """Edges are lengthened if they cross less than this part of a witness cell, in the median."""
+BY_METRIC = 0.25
+"""Fraction of greedy extensions if a metric is given and the setting `greedy` is 0."""
 MAX_STRETCH = 32.0
 """Largest factor by which the duration of edges is multiplied."""
 GREED = 4.0
@@ -78,6 +81,9 @@ class SSTSearch:
         self.simulator = _large_enough(query.simulator, config)
         self.servo = Servo(self.simulator)
         self.space = self.simulator.space
+        self.metric = query.metric
+        self.greedy = config.greedy or (BY_METRIC if query.metric else 0.0)
+        self.to_goal = np.empty(0)  # distance of each node to the goal by the metric
         self.stride = num_steps(CHECK_S, self.simulator.model)
         self.stretch = 1.0
 
@@ -130,12 +136,21 @@ class SSTSearch:
     def _select(self, tree: Tree, radius: float) -> np.ndarray:
         """The nodes to extend: those near random states, and a fraction of nodes near the goal."""
         parents = tree.select(tree.features_of(self._targets()), radius)
-        if num := round(self.config.greedy * len(parents)):
+        if num := round(self.greedy * len(parents)):
             nodes = tree.representatives()
-            order = nodes[np.argsort(self.goal.distance(tree.states[nodes]), kind="stable")]
+            order = nodes[np.argsort(self._distances(tree)[nodes], kind="stable")]
             ranks = len(order) * self.rng.random(num) ** GREED
             parents[-num:] = order[ranks.astype(int)]
         return parents
+
+    def _distances(self, tree: Tree) -> np.ndarray:
+        """Distance of every node to the goal: by the metric, or in the goal's measure."""
+        if self.metric is None:
+            return self.goal.distance(tree.states)
+        new = tree.states[len(self.to_goal) :]
+        found = checked_distances(self.metric, new, self.goal.nearest(new))
+        self.to_goal = np.concatenate([self.to_goal, found])
+        return self.to_goal
 
     def _extend(self, tree: Tree, parents: np.ndarray, edges: Edges) -> list[np.ndarray]:
         """Simulate the edges and add their ends to the tree; return the numbers of the new nodes."""

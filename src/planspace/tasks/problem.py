@@ -54,6 +54,12 @@ class Goal:
         outside = np.abs(self.space.difference(states, self.center)) - self.half
         return np.asarray(np.maximum(outside, 0.0) @ self.weights)
 
+    def nearest(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch state"]:
+        """Return the state of the box that is nearest to each state, which keeps numbers of weight 0."""
+        off = self.space.difference(states, self.center)
+        inside = np.where(self.weights == 0, off, np.clip(off, -self.half, self.half))
+        return self.space.integrate(self.center, inside)
+
     def reached(self, states: Float[np.ndarray, "*batch state"]) -> np.ndarray:
         """Return whether each state lies in the goal region."""
         return np.asarray(self.distance(states) <= self.tolerance)
