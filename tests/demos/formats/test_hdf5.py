@@ -9,6 +9,7 @@ import pytest
 from planspace.demos.convert import export_demos, import_demos
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import validate
+from planspace.demos.formats.robomimic import read_robomimic
 from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
@@ -236,6 +237,13 @@ def test_several_robomimic_files_make_one_dataset(tmp_path: Path) -> None:
     import_demos([str(tmp_path)], tmp_path / "out", None, ImportOptions())
     demos = load_demos(tmp_path / "out")
     assert demos.indices.tolist() == [0, 1, 2, 3]
+
+
+def test_lists_of_demonstrations_are_passed_on(tmp_path: Path) -> None:
+    write(tmp_path / "a.hdf5")
+    write(tmp_path / "b.hdf5")
+    imported = read_robomimic([str(tmp_path / name) for name in ("a.hdf5", "b.hdf5")], None, ImportOptions())
+    assert imported.splits == {"train": [0, 2, 3, 5]}  # demo_1 and demo_10 of three in each file
 
 
 # --- robosuite's recordings -------------------------------------------------------------------------

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace.demos.convert import export_demos, import_demos
+from planspace.demos.convert import export_demos, import_demos, preview
 from planspace.demos.dataset import Demos
+from planspace.demos.formats.lerobot import read_lerobot
 from planspace.demos.load import load_demos
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
@@ -60,6 +61,23 @@ def test_a_split_selects_episodes(tmp_path: Path) -> None:
     assert np.array_equal(demos.states, frames(2, LENGTHS[2])["observation.state"].astype(float))
     with pytest.raises(UsageError, match="unknown split 'val'. Known: test, train"):
         load(tmp_path, filter_key="val")
+
+
+def test_splits_are_passed_on_as_numbers_of_demonstrations(tmp_path: Path) -> None:
+    write_2(tmp_path / "set")
+    lines = (tmp_path / "set/meta/episodes.jsonl").read_text().replace('"length": 4', '"length": 1')
+    (tmp_path / "set/meta/episodes.jsonl").write_text(lines)  # episode 0 is left out
+    imported = read_lerobot([str(tmp_path / "set")], None, ImportOptions())
+    assert imported.splits == {"train": [0], "test": [1]}
+
+
+def test_the_table_shows_every_feature(tmp_path: Path) -> None:
+    write_3(tmp_path / "set")
+    table, num = preview([str(tmp_path / "set")], None, ImportOptions())
+    rows = {line.split("  ")[0]: line for line in table.splitlines()}
+    assert num == len(LENGTHS)
+    assert set(rows) >= {"timestamp", "episode_index", "pan.pos", "action pan.pos", "observation.images.top"}
+    assert "unused" in rows["observation.effort"] and "state" in rows["lift.pos"]
 
 
 def test_the_states_of_a_problem_are_found_by_name(tmp_path: Path) -> None:

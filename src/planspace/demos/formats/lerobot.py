@@ -41,7 +41,7 @@ from planspace.demos.formats.lerobot_meta import (
 from planspace.demos.formats.observations import OBSERVATION_KEY, choose_states
 from planspace.demos.formats.parquet_file import open_parquet, read_batches
 from planspace.demos.formats.reader_subprocess import read_in_subprocess
-from planspace.demos.recording import Imported, ImportOptions, check_options, check_rising, recorded
+from planspace.demos.recording import Imported, ImportOptions, Use, check_options, check_rising, recorded
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError, quoted, unknown
 
@@ -98,8 +98,15 @@ def read_lerobot(sources: Sequence[str], info: StateInfo | None, options: Import
     if not layout.exported:
         notices += _left_out(layout, options)
         notices += [] if layout.controls else [NO_CONTROLS]
-    episodes = _episodes(layout, files, info or own, options)
-    return Imported(info or own, episodes, tuple(notices), exported=exported is not None)
+    numbers = [number for file in files for number in file.lengths]
+    return Imported(
+        info or own,
+        _episodes(layout, files, info or own, options),
+        tuple(notices),
+        exported=exported is not None,
+        uses=_uses(layout, info or own, options),
+        splits={} if options.filter_key else _places(meta.splits, numbers),
+    )
 
 
 # --- choosing columns -------------------------------------------------------------------------------
@@ -173,6 +180,26 @@ def _select(meta: LeRobotMeta, options: ImportOptions) -> tuple[list[DataFile], 
         files += [DataFile(file.path, whole)] if whole else []
     short = f"{num_short} of {total} episodes have fewer than two frames: left out."
     return files, [short] if num_short else []
+
+
+def _places(splits: Mapping[str, range], numbers: Sequence[int]) -> dict[str, list[int]]:
+    """The places of the episodes of each split among those that are read."""
+    return {
+        name: [i for i, number in enumerate(numbers) if number in found] for name, found in splits.items()
+    }
+
+
+def _uses(layout: _Layout, info: StateInfo, options: ImportOptions) -> tuple[Use, ...]:
+    """What each feature is used for; empty if the states are not those of the dataset in their order."""
+    if layout.exported or options.states or info.names != layout.names:
+        return ()
+    uses = [Use(TIME, "time", "s"), Use(EPISODE, "episode")]
+    uses += [Use(name, "state", index=i) for i, name in enumerate(info.names)]
+    names = [name for key in layout.controls for name in _number_names(layout.meta, key)]
+    uses += [Use(f"{ACTION} {name}", "control", index=i) for i, name in enumerate(names)]
+    used = {TIME, EPISODE, *layout.states, *layout.controls}
+    rest = {key: feature for key, feature in layout.meta.features.items() if key not in used}
+    return (*uses, *(Use(key, "unused", note=feature.kind) for key, feature in rest.items()))
 
 
 # --- reading ----------------------------------------------------------------------------------------

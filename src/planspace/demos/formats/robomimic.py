@@ -12,7 +12,8 @@ Attributes: `env_args` (robomimic) or `env` and `env_info` (robosuite 1.0) of `d
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,8 @@ class _Recorded:
     exported: bool
     """Whether planspace wrote the file."""
     notices: tuple[str, ...]
+    masks: dict[str, list[str]] = field(default_factory=dict)
+    """Names of the demonstrations in each list in `mask`, unless one of the lists was selected."""
 
 
 # --- reading ----------------------------------------------------------------------------------------
@@ -108,7 +111,8 @@ def read_robomimic(sources: Sequence[str], info: StateInfo | None, options: Impo
             "is an array in 'obs'."
         )
     notices = tuple(dict.fromkeys(first.notices))
-    return Imported(info, _episodes(files, info, options), notices, exported=first.exported)
+    episodes = _episodes(files, info, options)
+    return Imported(info, episodes, notices, exported=first.exported, splits=_splits(files))
 
 
 def _read_file(path: Path, options: ImportOptions) -> _Recorded:
@@ -123,6 +127,7 @@ def _read_file(path: Path, options: ImportOptions) -> _Recorded:
                     "and times; leave them out."
                 )
             return _Recorded(path, demos, own, own.num_controls, True, None, True, ())
+        masks = _masks(opened, options.filter_key)
         first = data[demos[0]]
         states, actions = find_array(first, STATES), find_array(first, ACTIONS)
         num_controls = 0 if actions is None else int(np.prod(actions.shape[1:]))
@@ -140,7 +145,28 @@ def _read_file(path: Path, options: ImportOptions) -> _Recorded:
         if step is None and not has_time:
             step = 1.0
             notices.append("the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.")
-        return _Recorded(path, demos, own, num_controls, has_time, step, False, tuple(notices))
+        return _Recorded(path, demos, own, num_controls, has_time, step, False, tuple(notices), masks)
+
+
+def _masks(opened: Any, filter_key: str) -> dict[str, list[str]]:
+    """The lists in `mask`; those that are no lists of names matter only if the user selects one."""
+    found: dict[str, list[str]] = {}
+    masks = {} if filter_key else opened.get(MASK, {})
+    for key in masks:
+        with suppress(PlanspaceError):
+            found[str(key)] = read_names(masks, key)
+    return found
+
+
+def _splits(files: Sequence[_Recorded]) -> dict[str, list[int]]:
+    """The numbers of the demonstrations in each list in `mask`, over all files."""
+    splits: dict[str, list[int]] = {}
+    first = 0
+    for file in files:
+        for key, names in file.masks.items():
+            splits.setdefault(key, []).extend(first + i for i, n in enumerate(file.demos) if n in set(names))
+        first += len(file.demos)
+    return splits
 
 
 def _select(opened: Any, path: Path, filter_key: str) -> tuple[str, ...]:
