@@ -45,19 +45,28 @@ class Meaning:
         return replace(episode, states=states, goal=goal)
 
 
-def declare_states(info: StateInfo, survey: Survey, options: ImportOptions, *, guess: bool = True) -> Meaning:
+def declare_states(
+    info: StateInfo,
+    survey: Survey,
+    options: ImportOptions,
+    columns: Sequence[str] = (),
+    *,
+    guess: bool = True,
+) -> Meaning:
     """Decide what the states of a source mean.
 
     Args:
         info: what the format or the planning problem says.
         survey: statistics of the states.
         options: what the user declares.
+        columns: names of all columns of a table, which options may name too.
         guess: whether to guess what neither of them says.
 
     Raises:
         UsageError: an option names a state that does not exist, or contradicts another.
     """
     names, units = info.names, list(info.units)
+    _check_names(names, options, columns)
     free = guess and info.source is None and not info.problem  # a model says what its states are
     notes = [""] * len(names)
     for name, unit in options.units.items():
@@ -81,17 +90,8 @@ def declare_states(info: StateInfo, survey: Survey, options: ImportOptions, *, g
     return _arrange(info, units, circles, quaternions, notes, options)
 
 
-def check_names(names: Sequence[str], options: ImportOptions, others: Sequence[str] = ()) -> None:
-    """Check that the states that options name exist.
-
-    Args:
-        names: the states.
-        options: the options of the user.
-        others: other names that `--unit`, `--drop` and `--keep` may use: columns that are not states.
-
-    Raises:
-        UsageError: a name does not exist (the message suggests a similar one), or is declared twice.
-    """
+def _check_names(names: Sequence[str], options: ImportOptions, others: Sequence[str]) -> None:
+    """Check that the states that options name exist, and that no state is declared twice."""
     given = {
         "circular": (options.circular, names),
         "linear": (options.linear, names),

@@ -77,7 +77,7 @@ def _looks(survey: Survey, column: int, name: str) -> str:
         return f"constant; --drop {name}?"
     if survey.locked[column]:
         return "constant in each demonstration"
-    return f"rises by 1 in each row; a counter? --drop {name}" if survey.counts[column] else ""
+    return f"rises evenly, like a clock; --time or --drop {name}?" if survey.clocks[column] else ""
 
 
 def _range(low: float, high: float) -> str:

@@ -18,7 +18,15 @@ from planspace.demos.episode import Episode, Origin, check_episode
 from planspace.demos.folder import DemoFolder
 from planspace.demos.import_table import import_table
 from planspace.demos.recording import Imported, ImportOptions
-from planspace.demos.resample import common_step, has_step, resample, uneven_steps, with_continuous_angles
+from planspace.demos.resample import (
+    common_step,
+    has_step,
+    resample,
+    thin,
+    thinning_step,
+    uneven_steps,
+    with_continuous_angles,
+)
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
 from planspace.demos.survey import Survey
@@ -65,21 +73,34 @@ def prepare(
     if recorded is None:
         why = "; ".join(cleaning.notices(options.gaps)) or "there are no demonstrations"
         raise PlanspaceError(f"{source}: {why}.")
-    meaning = declare_states(imported.info, survey, options, guess=not imported.exported)
+    columns = [use.name for use in imported.uses]
+    meaning = declare_states(imported.info, survey, options, columns, guess=not imported.exported)
     show(import_table(imported, meaning, survey, len(recorded)))
     demos = _declare(recorded, origins, meaning, imported.keep_angles, cleaning, options, staging)
     notices = [*imported.notices, *cleaning.notices(options.gaps)]
-    step = None if options.as_recorded else common_step(lambda: map(_steps, demos.shards()), demos.info)
+    step = None if options.as_recorded else _wanted_step(demos, options.rate)
     if step is not None:
         count = sum(not has_step(episode, step) for episode in demos.episodes())
         notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
-        resampled = (resample(episode, demos.info, step) for episode in demos.episodes())
+        align = resample if options.rate is None else thin
+        resampled = (align(episode, demos.info, step) for episode in demos.episodes())
         resampled = progress_over(resampled, "resample", unit="demo", total=len(demos))
         even = _stage(staging / RESAMPLED, demos.info, resampled)
         assert even is not None
         remove(demos.path)
         demos = even
     return Prepared(demos, tuple(notices))
+
+
+def _wanted_step(demos: StoredDemos, rate: float | None) -> float | None:
+    """The time step to resample to; None if the recorded steps are even."""
+
+    def steps() -> Iterator[np.ndarray]:
+        return map(_steps, demos.shards())
+
+    if rate is None:
+        return common_step(steps, demos.info)
+    return thinning_step(uneven_steps(steps), float(next(steps())[0]), rate)
 
 
 def _checked(imported: Imported, source: str) -> Iterator[Episode]:

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from planspace.demos.clean import take_rows
 from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.angles import TWO_PI, unwrap_to_end
-from planspace.physics.quaternion import normalise
+from planspace.physics.quaternion import conjugate, exp, log, multiply, normalise
 
 UNEVEN = 1e-3
 """Relative difference below which steps count as even; float32 clocks differ by 2e-5."""
@@ -87,9 +88,9 @@ def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
     """Resample an episode to a time step.
 
     The new times are counted back from the end, so that the last state, the goal, is kept. States are
-    interpolated linearly (angles must be continuous) and quaternions are normalised. Each control is the one
-    that is held when the step begins. An episode that already has this step, or is shorter than one step, is
-    returned unchanged.
+    interpolated linearly (angles must be continuous), and rotations along the shortest rotation at constant
+    speed. Each control is the one that is held when the step begins. An episode that already has this step,
+    or is shorter than one step, is returned unchanged.
 
     Args:
         episode: the demonstration.
@@ -102,10 +103,60 @@ def resample(episode: Episode, info: StateInfo, step: float) -> Episode:
     instants = times + (float(episode.times[-1]) - times[-1])
     states = np.stack([np.interp(instants, episode.times, x) for x in episode.states.T], axis=1)
     for first in info.quaternion_columns:
-        states[:, first : first + 4] = normalise(states[:, first : first + 4])
+        quaternion = slice(first, first + 4)
+        states[:, quaternion] = _slerp(instants, episode.times, episode.states[:, quaternion])
     held = np.searchsorted(episode.times, instants[:-1] + SAME_INSTANT * step, side="right") - 1
     held = np.clip(held, 0, len(episode.controls) - 1)
     return replace(episode, states=states, controls=episode.controls[held], times=times)
+
+
+def thinning_step(steps: Float[np.ndarray, " step"] | None, step: float, rate: float) -> float:
+    """The time step of a rate.
+
+    Args:
+        steps: all recorded steps [s]; None if they have the same length.
+        step: the recorded step if they have the same length [s].
+        rate: the wanted number of states per second [Hz].
+
+    Raises:
+        UsageError: fewer states per second were recorded.
+    """
+    recorded = step if steps is None else float(np.median(steps))
+    if 1 / rate < recorded * (1 - UNEVEN):
+        raise UsageError(
+            f"--rate {rate:g} asks for more states than were recorded, {1 / recorded:.4g} per second; give "
+            "at most that, or leave it out."
+        )
+    return 1 / rate
+
+
+def thin(episode: Episode, info: StateInfo, step: float) -> Episode:
+    """Thin an episode to a time step: leave out states if its own steps divide it evenly, else resample.
+
+    Args:
+        episode: the demonstration.
+        info: the meaning of the states.
+        step: the time step [s].
+    """
+    steps = np.diff(episode.times)
+    every = max(1, round(step / steps[0]))
+    if every > 1 and _even(steps, step / every) and not has_step(episode, step):
+        return take_rows(episode, np.arange(len(episode.times) - 1, -1, -every)[::-1])
+    return resample(episode, info, step)
+
+
+def _slerp(
+    instants: Float[np.ndarray, " instant"],
+    times: Float[np.ndarray, " time"],
+    quaternions: Float[np.ndarray, "time 4"],
+) -> Float[np.ndarray, "instant 4"]:
+    """Rotations at some instants, at constant speed along the shortest rotation between neighbours."""
+    before = np.clip(np.searchsorted(times, instants, side="right") - 1, 0, len(times) - 2)
+    fraction = (instants - times[before]) / (times[before + 1] - times[before])
+    start, end = normalise(quaternions[before]), normalise(quaternions[before + 1])
+    turn = log(multiply(conjugate(start), end))
+    found = normalise(multiply(start, exp(np.clip(fraction, 0.0, 1.0)[:, None] * turn)))
+    return _one_sign(found * np.sign((found[:1] * start[:1]).sum()))
 
 
 def _num_steps(episode: Episode, step: float) -> int:

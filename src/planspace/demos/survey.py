@@ -11,6 +11,8 @@ from planspace.physics.angles import TWO_PI
 
 ROUNDING = 1e-6
 """Relative tolerance on the period of an angle that is stored in float32."""
+SAME_STEP = 1e-3
+"""Relative difference below which steps of a clock are equal."""
 QUATERNION_SIZE, UNIT_LENGTH = 4, 1e-2
 """A quaternion may differ from length one by this much."""
 PERIODS = {"rad": TWO_PI, "deg": 360.0}
@@ -31,8 +33,8 @@ class Survey:
         """Longest demonstration [s]."""
         self.locked = np.ones(num_states, dtype=bool)
         """Whether each state is constant within every demonstration."""
-        self.counts = np.ones(num_states, dtype=bool)
-        """Whether each state rises by one in every row, as a counter does."""
+        self._step_low = np.full(num_states, np.inf)
+        self._step_high = np.full(num_states, -np.inf)
         windows = max(0, num_states - QUATERNION_SIZE + 1)
         self._square_low, self._square_high = np.full(windows, np.inf), np.zeros(windows)
         self._wraps = {unit: _WrapEvidence(period, num_states) for unit, period in PERIODS.items()}
@@ -55,9 +57,15 @@ class Survey:
             return
         steps = np.diff(states, axis=0)
         self.locked &= (steps == 0).all(axis=0)
-        self.counts &= (steps == 1).all(axis=0)
+        self._step_low = np.minimum(self._step_low, steps.min(axis=0))
+        self._step_high = np.maximum(self._step_high, steps.max(axis=0))
         for wraps in self._wraps.values():
             wraps.update(states, steps)
+
+    @property
+    def clocks(self) -> Bool[np.ndarray, " state"]:
+        """Whether each state rises by the same amount in every row, as a time or a counter does."""
+        return (self._step_low > 0) & (self._step_high - self._step_low <= SAME_STEP * self._step_high)
 
     def reach(self, column: int) -> float:
         """Largest absolute value of a state."""
