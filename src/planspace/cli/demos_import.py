@@ -76,9 +76,10 @@ class Import:
     """Thin the demonstrations to this many states per second."""
     gaps: Literal["refuse", "split", "fill"] = "refuse"
     """What to do where rows are missing: refuse the source, cut the demonstration there, or interpolate."""
-    split: Annotated[str, arg(metavar="FILE.json|KEY", help_behavior_hint="(default: none)")] = ""
+    split: Annotated[str, arg(metavar="FILE.json|NAME", help_behavior_hint="(default: at random)")] = ""
     """The training, validation and test demonstrations: a JSON file such as `{"train": [0, 1], "test": [2]}`,
-    or the column or key of the source that says it. Otherwise they are drawn at random."""
+    a column with the name of the split, or `source` for the lists that the source names (robomimic, LeRobot).
+    Demonstrations in none of them are not used; a split that is not named is drawn from the training."""
     filter_key: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: all)")] = ""
     """Import only the demonstrations that this list in the group `mask` of a robomimic file names."""
     as_recorded: bool = False

@@ -20,10 +20,9 @@ from planspace.demos.folder import DemoFolder
 from planspace.demos.formats.format import Format
 from planspace.demos.formats.registry import export_patterns, find_format, import_patterns
 from planspace.demos.manifest import MANIFEST, DatasetSettings
-from planspace.demos.prepare import DECLARED, RECORDED, RESAMPLED, prepare, remove
+from planspace.demos.prepare import DECLARED, RECORDED, RESAMPLED, Prepared, prepare, remove
 from planspace.demos.recording import Imported, ImportOptions, source_name
 from planspace.demos.state_info import StateInfo
-from planspace.demos.stored import StoredDemos
 from planspace.demos.tables import import_tables
 from planspace.errors import PlanspaceError, UsageError, printable
 from planspace.progress import progress_over
@@ -90,7 +89,7 @@ def preview(sources: Sequence[str], info: StateInfo | None, options: ImportOptio
     tables: list[str] = []
     with _temporary_folder(" ".join(sources)) as staging:
         fmt, sources, name = _find_sources(sources)
-        demos = _prepare(_read(fmt, sources, info, options), name, options, staging, tables.append)
+        demos = _prepare(_read(fmt, sources, info, options), name, options, staging, tables.append).demos
         return tables[0], len(demos)
 
 
@@ -104,7 +103,8 @@ def load_source(source: str) -> Demos:
     options = ImportOptions()
     with _temporary_folder(source) as staging:
         fmt, sources, name = _find_sources([source])
-        return _prepare(_read(fmt, sources, None, options), name, options, staging, lambda table: None).load()
+        imported = _read(fmt, sources, None, options)
+        return _prepare(imported, name, options, staging, lambda table: None).demos.load()
 
 
 @contextmanager
@@ -184,8 +184,11 @@ def _store(
 ) -> DemoFolder:
     """Make the dataset after all demonstrations have been checked."""
     with _staging_folder(out) as staging:
-        demos = _prepare(imported, settings.get("imported", ""), options, staging, show)
+        prepared = _prepare(imported, settings.get("imported", ""), options, staging, show)
+        demos = prepared.demos
         settings = settings | DatasetSettings(problem=demos.info.problem, content=demos.hash)
+        if prepared.splits:
+            settings["split"] = prepared.splits
         folder = DemoFolder(out, demos.info, settings)
         missing = itertools.islice(demos.episodes(), folder.num_episodes, None)
         folder.extend(progress_over(missing, "store", unit="demo", total=len(demos) - folder.num_episodes))
@@ -194,11 +197,11 @@ def _store(
 
 def _prepare(
     imported: Imported, source: str, options: ImportOptions, staging: Path, show: Callable[[str], None]
-) -> StoredDemos:
+) -> Prepared:
     prepared = prepare(imported, source, options, staging, show)
     for notice in prepared.notices:
         print(printable(notice), file=sys.stderr)
-    return prepared.demos
+    return prepared
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from planspace.demos.episode import Episode, join_episodes, trees_of
 from planspace.demos.folder import DemoFolder
 from planspace.demos.manifest import DatasetSettings
 from planspace.demos.search_tree import SearchTree, join_trees
+from planspace.demos.splits import Splits, complete_splits
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError
 from planspace.storage.json_files import json_hash
@@ -50,6 +51,8 @@ class Demos:
     """Planning cost of each episode [s]; NaN if unknown."""
     trees: tuple[SearchTree, ...] = ()
     """Search tree of each episode, if they were kept; otherwise empty."""
+    splits: Splits = field(default_factory=dict)
+    """Demonstrations in each split, if the source says it; otherwise empty, and `split` draws them."""
 
     def __len__(self) -> int:
         """Number of demonstrations."""
@@ -89,7 +92,7 @@ class Demos:
             PlanspaceError: there are no episodes, sizes differ, or a number is not finite (the message names
                 the row).
         """
-        return cls(info=info, **join_episodes(info, episodes), trees=trees_of(episodes))
+        return cls(info=info, **join_episodes(info, episodes), trees=trees_of(episodes), splits={})
 
     def save(self, folder: str | Path) -> None:
         """Save as a dataset folder, which `load_demos` reads.
@@ -103,6 +106,8 @@ class Demos:
             PlanspaceError: the folder cannot be written, or contains other demonstrations.
         """
         settings = DatasetSettings(problem=self.info.problem, content=self.hash)
+        if self.splits:
+            settings["split"] = {name: list(places) for name, places in self.splits.items()}
         with lock_folder(Path(folder)):
             target = DemoFolder(Path(folder), self.info, settings)
             target.extend(self.episode(i) for i in range(target.num_episodes, len(self)))
@@ -162,8 +167,8 @@ class Demos:
         return content_hash(self.info, lambda name: [getattr(self, name)], self.trees)
 
     def split(self, seed: int) -> dict[str, np.ndarray]:
-        """Split into `train`, `validation` and `test`; see `planspace.demos.dataset.split`."""
-        return split(len(self), seed)
+        """Split into `train`, `validation` and `test`: as `splits` says, otherwise at random, see `split`."""
+        return complete_splits(self.splits, seed) if self.splits else split(len(self), seed)
 
 
 def split(count: int, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:

@@ -1,7 +1,7 @@
 """The manifest of a dataset: what the states mean, what produced it, and the hash of each shard."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -37,6 +37,8 @@ class DatasetSettings(TypedDict, total=False):
     """Import: SHA-256 of the source files."""
     content: str
     """Import and `Demos.save`: `Demos.hash`."""
+    split: Mapping[str, Sequence[int]]
+    """Import and `Demos.save`: the demonstrations in each split, if the source or a file says it."""
 
 
 @dataclass(frozen=True)

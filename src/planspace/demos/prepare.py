@@ -27,6 +27,7 @@ from planspace.demos.resample import (
     uneven_steps,
     with_continuous_angles,
 )
+from planspace.demos.splits import chosen_splits, place_splits
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
 from planspace.demos.survey import Survey
@@ -44,6 +45,8 @@ class Prepared:
     demos: StoredDemos
     notices: tuple[str, ...]
     """What was assumed and changed, one line each."""
+    splits: dict[str, list[int]]
+    """The demonstrations in each split that the user chose; empty to draw them at random."""
 
 
 def prepare(
@@ -89,7 +92,17 @@ def prepare(
         assert even is not None
         remove(demos.path)
         demos = even
-    return Prepared(demos, tuple(notices))
+    named = chosen_splits(options.split, imported.splits, columns)
+    splits = place_splits(named, _indices(demos)) if named else {}
+    if imported.splits and not named:
+        known = ", ".join(f"{name} ({len(numbers)})" for name, numbers in imported.splits.items())
+        notices.append(f"the source names the splits {known}: --split source uses them.")
+    return Prepared(demos, tuple(notices), splits)
+
+
+def _indices(demos: StoredDemos) -> np.ndarray:
+    """The number of each demonstration in its source."""
+    return np.concatenate([part.indices for part in demos.shards()])
 
 
 def _wanted_step(demos: StoredDemos, rate: float | None) -> float | None:

@@ -54,7 +54,8 @@ class ImportOptions:
     keep: Sequence[str] = ()
     """Columns that are states, although their names suggest a time, a counter or an outcome."""
     split: str = ""
-    """A JSON file with the demonstrations of each split, or the name of a column or key that contains it."""
+    """A JSON file with the demonstrations of each split, a column with the name of the split, or `source` for
+    the splits that the source names; see `planspace.demos.splits`."""
     rate: float | None = None
     """States per second to thin the demonstrations to [Hz]; None keeps all states."""
     gaps: Gaps = "refuse"

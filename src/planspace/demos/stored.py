@@ -12,6 +12,7 @@ from planspace.demos.episode import Episode
 from planspace.demos.manifest import MANIFEST, Shard, read_manifest
 from planspace.demos.search_tree import SearchTree
 from planspace.demos.shards import ARRAYS, read_shard, shard_file
+from planspace.demos.splits import Splits, check_splits, complete_splits
 from planspace.demos.tree_shards import FOLDER, read_trees
 from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays, read_array
@@ -45,6 +46,12 @@ class StoredDemos:
     def __repr__(self) -> str:
         return f"StoredDemos({str(self.path)!r}): {len(self)} demonstrations in {len(self._shards)} shards"
 
+    @property
+    def splits(self) -> Splits:
+        """Demonstrations in each split, if the source says it."""
+        with reject_malformed(self.path / MANIFEST):
+            return check_splits(self.settings.get("split", {}), len(self))
+
     def shards(self) -> Iterator[Demos]:
         """The demonstrations of each shard in turn, verified.
 
@@ -53,7 +60,7 @@ class StoredDemos:
         """
         for number, shard in enumerate(self._shards):
             arrays = self._read(shard)
-            yield Demos(info=self.info, **arrays, trees=self._trees(number, arrays))
+            yield Demos(info=self.info, **arrays, trees=self._trees(number, arrays), splits={})
         self._verified = True
 
     def episodes(self) -> Iterator[Episode]:
@@ -73,7 +80,8 @@ class StoredDemos:
             offsets = _join_offsets([part.pop("offsets") for part in parts])
             names = [name for name in ARRAYS if name != "offsets"]
             whole = {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
-            return Demos(info=self.info, offsets=offsets, **whole, trees=tuple(trees))
+            trees = tuple(trees)
+            return Demos(info=self.info, offsets=offsets, **whole, trees=trees, splits=self.splits)
 
     @property
     def num_nodes(self) -> int:
@@ -96,8 +104,8 @@ class StoredDemos:
         )
 
     def split(self, seed: int) -> dict[str, Int[np.ndarray, " demo"]]:
-        """Split into `train`, `validation` and `test`; see `planspace.demos.dataset.split`."""
-        return split(len(self), seed)
+        """Split into `train`, `validation` and `test`; see `Demos.split`."""
+        return complete_splits(self.splits, seed) if self.splits else split(len(self), seed)
 
     def states_at(self, rows: Int[np.ndarray, "*any"]) -> Float[np.ndarray, "*any state"]:
         """The states at some rows, such as those of `random_triplets`; equal to `load().states[rows]`.

@@ -57,8 +57,17 @@ def import_tables(found: Tables, info: StateInfo | None, options: ImportOptions)
         for table, columns in zip(found.tables, chosen, strict=True)
         for part in _demonstrations(table, columns)
     )
-    episodes = (_episode(*each, step, index) for index, each in enumerate(demonstrations))
-    return Imported(first, episodes, notices, uses=chosen[0].uses, splits=found.splits)
+    splits: dict[str, list[int]] = {}
+
+    def episodes() -> Iterator[Episode]:
+        for index, (table, columns, part) in enumerate(demonstrations):
+            if part.split:
+                splits.setdefault(part.split, []).append(index)
+            yield _episode(table, columns, part, step, index)
+
+    by_column = any(columns.split is not None for columns in chosen)
+    named = splits if by_column else found.splits
+    return Imported(first, episodes(), notices, uses=chosen[0].uses, splits=named)
 
 
 class _Part(NamedTuple):
@@ -67,6 +76,8 @@ class _Part(NamedTuple):
     lines: Int[np.ndarray, " row"]
     values: Float[np.ndarray, "row column"]
     """States, controls and, if there is one, the time."""
+    split: str = ""
+    """Name of its split; empty if the table does not say it."""
 
 
 def _demonstrations(table: Table, columns: Columns) -> Iterator[_Part]:
@@ -110,17 +121,20 @@ def _runs(table: Table, columns: Columns) -> Iterator[tuple[str | int, _Part]]:
             count, last, labels = int(numbers[-1]), float(clock[-1]), numbers.tolist()
         else:
             labels = rows.labels(columns.episode)
+        splits = None if columns.split is None else rows.labels(columns.split)
         start = 0
         for label, group in itertools.groupby(labels):
             stop = start + sum(1 for _ in group)
-            yield label, _Part(part.lines[start:stop], part.values[start:stop])
+            split = splits[start] if splits else ""
+            yield label, _Part(part.lines[start:stop], part.values[start:stop], split)
             start = stop
 
 
 def _join(parts: Sequence[_Part]) -> _Part:
     if len(parts) == 1:
         return parts[0]
-    return _Part(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    lines, values, splits = zip(*parts, strict=True)
+    return _Part(np.concatenate(lines), np.concatenate(values), splits[0])
 
 
 def _episode(table: Table, columns: Columns, part: _Part, step: float | None, index: int) -> Episode:

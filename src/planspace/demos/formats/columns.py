@@ -35,6 +35,8 @@ class Columns:
     """Column of each control; empty if the table has no controls."""
     episode: int | None
     """Column with the number of the demonstration; None if there is no such column."""
+    split: int | None = None
+    """Column with the name of the split; None if the user names no such column."""
     time_unit: str = ""
     """Unit of the time; empty if it is unknown."""
     restarts: bool = False
@@ -66,7 +68,7 @@ def choose_columns(
     position = {name: i for i, name in enumerate(names)}
     units = {c.name: options.units.get(c.name) or guess_unit(c).unit for c in columns}
     taken = {*options.states.values(), *options.controls.values(), *(info.names if info else ())}
-    free = [column for column in columns if column.name not in {*taken, *options.drop}]
+    free = [column for column in columns if column.name not in {*taken, *options.drop, options.split}]
     kinds: dict[str, Kind | None] = {c.name: c.kind or guess_kind(c) for c in free}
     kinds |= dict.fromkeys(options.keep, "state")
     time = "" if options.dt is not None else options.time or _first(kinds, "time", TIME_NAMES)
@@ -87,7 +89,7 @@ def choose_columns(
     for name in (*states, *controls):
         if name not in position:
             raise PlanspaceError(f"{where}: {unknown('column', name, names)}")
-    roles: Roles = {time: ("time", -1), episode: ("episode", -1)}
+    roles: Roles = {time: ("time", -1), episode: ("episode", -1), options.split: ("split", -1)}
     roles |= {name: ("control", i) for i, name in enumerate(controls)}
     roles |= {name: ("state", i) for i, name in enumerate(states)}
     return Columns(
@@ -96,6 +98,7 @@ def choose_columns(
         states=tuple(position[name] for name in states),
         controls=tuple(position[name] for name in controls),
         episode=position[episode] if episode else None,
+        split=position.get(options.split),
         time_unit=units.get(time, ""),
         restarts=bool(episode) and (episode == time or kinds.get(episode) == "time" or is_counter(episode)),
         uses=tuple(
