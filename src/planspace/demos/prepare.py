@@ -27,7 +27,7 @@ from planspace.demos.resample import (
     uneven_steps,
     with_continuous_angles,
 )
-from planspace.demos.splits import chosen_splits, place_splits
+from planspace.demos.splits import are_complete, chosen_splits, place_splits
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
 from planspace.demos.survey import Survey
@@ -94,7 +94,7 @@ def prepare(
         demos = even
     named = chosen_splits(options.split, imported.splits, columns)
     splits = place_splits(named, _indices(demos)) if named else {}
-    if imported.splits and not named:
+    if not named and are_complete(imported.splits):
         known = ", ".join(f"{name} ({len(numbers)})" for name, numbers in imported.splits.items())
         notices.append(f"the source names the splits {known}: --split source uses them.")
     return Prepared(demos, tuple(notices), splits)

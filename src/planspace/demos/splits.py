@@ -68,6 +68,12 @@ def chosen_splits(option: str, named: Splits, columns: Sequence[str]) -> Splits:
     return named
 
 
+def are_complete(named: Splits) -> bool:
+    """Whether splits name training demonstrations and others."""
+    kinds = {name for name, synonyms in NAMES.items() for key in named if key.lower() in synonyms}
+    return "train" in kinds and len(kinds) > 1
+
+
 def place_splits(named: Splits, indices: Int[np.ndarray, " demo"]) -> dict[str, list[int]]:
     """The places in a dataset of the demonstrations in each split.
 
