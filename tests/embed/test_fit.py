@@ -141,6 +141,26 @@ def test_modern_prefers_a_seed_without_collapsed_dimensions(embedding: Embedding
     assert [g.active_dims for g in validation] == [2, 3]
 
 
+def test_no_seed_is_chosen_by_a_path_error_of_one_demonstration(embedding: Embedding, demos: Demos) -> None:
+    """It is 0 but for rounding for every seed; the better seed is in the second place."""
+    weights, biases = embedding.encoder
+    rng = np.random.default_rng(0)
+    random = replace(embedding, encoder=([rng.normal(size=w.shape) for w in weights], biases))
+    split = demos.split(0) | {"train": np.array([0])}
+    for candidates in ([random, embedding], [embedding, random]):
+        chosen, _ = module.choose(candidates, demos, split, PRESETS["paper"])
+        assert candidates[chosen] is embedding
+
+
+def test_a_seed_whose_z_stands_still_is_not_chosen(embedding: Embedding, demos: Demos) -> None:
+    weights, biases = embedding.encoder
+    still = replace(embedding, encoder=([0 * weight for weight in weights], biases))
+    for candidates in ([still, embedding], [embedding, still]):
+        chosen, validation = module.choose(candidates, demos, demos.split(0), PRESETS["modern"])
+        assert candidates[chosen] is embedding
+        assert np.isnan(validation[1 - chosen].midpoint_error)
+
+
 def test_a_finished_embedding_is_loaded_and_other_settings_are_refused(
     demos: Demos, embedding_folder: Path
 ) -> None:

@@ -10,6 +10,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.embed.geometry import (
+    MAX_MIDPOINT_ERROR,
     Geometry,
     bootstrap_intervals,
     effective_rank,
@@ -78,7 +79,8 @@ def test_metrics_of_a_constant_z() -> None:
     demos = demos_of(*paths)
     g = measure_constant(demos, np.arange(3))
     assert (g.straightness, g.time_correlation, g.effective_rank, g.active_dims) == (0.0, 0.0, 0.0, 0)
-    assert g.midpoint_error == 0.0  # by definition, so it must be read with other metrics
+    assert np.isnan([g.midpoint_error, g.speed_variation]).all()  # nothing moves, so nothing is perfect
+    assert set(g.missing()) == {"midpoint_error", "speed_variation"}
     assert g.decoded_error == pytest.approx(1.0)  # the error of the mean state is the standard deviation
     duration = np.array([29, 30, 31]) * 0.1
     y = duration / duration.mean()
@@ -175,3 +177,78 @@ def test_demos_of_other_states_are_refused(embedding: Embedding) -> None:
 def test_demos_too_short_to_measure_are_refused() -> None:
     with pytest.raises(PlanspaceError, match="no demonstration has the 12 states"):
         geometry_of(np.zeros((11, 2)))
+
+
+def test_one_demonstration_has_no_path_error_and_no_intervals() -> None:
+    """C is fitted to the one distance, so |C d - y| would be 0 for any encoder."""
+    walk = np.random.default_rng(0).normal(size=(60, 2)).cumsum(axis=0)
+    table = measure_each(lambda x: x, lambda x: x, demos_of(walk), np.array([0]))
+    g = summarise(table)
+    assert np.isnan([g.path_error, g.path_error_std, g.duration_error]).all()
+    assert g.plain()["path_error"] is None and g.plain()["straightness"] == g.straightness
+    assert set(g.missing()) == {"path_error", "path_error_std", "duration_error", "intervals"}
+    assert bootstrap_intervals(table) == {}
+
+
+def test_intervals_of_two_demonstrations_do_not_count_one_drawn_twice() -> None:
+    """Drawn twice, one demonstration fits itself: an error of 0 would be the lower end of the interval."""
+    paths = [np.random.default_rng(i).normal(size=(40, 2)).cumsum(axis=0) for i in range(2)]
+    table = measure_each(lambda x: x, lambda x: x, demos_of(*paths), np.arange(2))
+    g = summarise(table)
+    assert g.missing() == {}
+    assert bootstrap_intervals(table)["path_error"] == pytest.approx((g.path_error, g.path_error))
+
+
+def test_the_midpoint_error_of_a_path_that_returns_is_bounded() -> None:
+    """A circle of 20 steps: with a spacing of 10, a and b are the same point and t lies opposite."""
+    angle = 2 * np.pi * np.arange(21) / 20
+    g = geometry_of(np.column_stack([np.cos(angle), np.sin(angle)]))
+    # spacing 5: a and b are opposite points at distance 2, t is at distance 1 from the centre
+    assert g.midpoint_error == pytest.approx((0.5 + MAX_MIDPOINT_ERROR) / 2)
+
+
+def test_standing_still_is_not_perfect() -> None:
+    """The path waits for 30 of its 40 steps; only the triplets that move are measured."""
+    moving = np.array(
+        [[0.0, 0], [1, 1], [2, 0], [3, 1], [4, 0], [5, 1], [6, 0], [7, 1], [8, 0], [9, 1], [10, 0]]
+    )
+    waiting = np.concatenate([moving, np.tile(moving[-1], (30, 1))])
+    a, t, b = waiting[:-10], waiting[5:-5], waiting[10:]
+    measured = [
+        np.linalg.norm(y - (x + z) / 2) / np.linalg.norm(z - x)
+        for x, y, z in zip(a, t, b, strict=True)
+        if np.linalg.norm(z - x) > 0
+    ]
+    assert len(measured) == 10
+    g = geometry_of(waiting[:20])  # too short for a spacing of 10
+    assert g.midpoint_error == pytest.approx(np.mean(measured))
+    still = geometry_of(np.ones((20, 2)), np.linspace([0, 0], [1, 1], 20))
+    assert (still.midpoint_error, still.speed_variation) == pytest.approx(
+        (0.0, 0.0), abs=1e-9
+    )  # of the other
+    assert still.straightness == pytest.approx(0.5)
+
+
+def test_z_of_any_scale_has_the_same_midpoint_error() -> None:
+    """A floor of the distance would make a tiny z perfect."""
+    walk = np.random.default_rng(0).normal(size=(60, 2)).cumsum(axis=0)
+    for scale in (1e-30, 1e-12, 1.0, 1e12):
+        assert geometry_of(scale * walk).midpoint_error == pytest.approx(geometry_of(walk).midpoint_error)
+
+
+def test_a_number_that_hardly_moves_in_the_measured_demonstrations_does_not_blow_up_the_decoded_error() -> (
+    None
+):
+    """x has a deviation of 1e-12 in the demonstration and of about 1 in the dataset; z is wrong by 0.02."""
+    rng = np.random.default_rng(0)
+    still, other = rng.normal(size=(20, 2)) * [1e-12, 1.0], rng.normal(size=(20, 2))
+    demos = demos_of(still, other)
+    table = measure_each(lambda x: x, lambda x: x + [0.02, 0.0], demos, np.array([0]))
+    least = 0.01 * demos.states[:, 0].std()
+    assert summarise(table).decoded_error == pytest.approx(0.02 / least / np.sqrt(2))
+
+
+def test_no_demonstration_that_moves_has_no_path_error() -> None:
+    g = geometry_of(np.ones((20, 2)), np.ones((20, 2)))
+    assert np.isnan([g.path_error, g.midpoint_error]).all() and not np.isnan(g.duration_error)
+    assert g.missing()["path_error"] == "no demonstration moves"

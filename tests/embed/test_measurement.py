@@ -75,3 +75,11 @@ def test_huge_numbers_are_refused(embedding: Embedding, demos: Demos) -> None:
     scaled = replace(embedding, encoder=(weights, embedding.encoder[1]))
     with pytest.raises(PlanspaceError, match="z of these states, or .* contain a number"):
         measure_embedding(scaled, replace(demos, states=states))
+
+
+def test_one_test_demonstration_is_not_perfect(embedding: Embedding, demos: Demos) -> None:
+    found = measure_embedding(embedding, demos).to_dict()["splits"]["test"]
+    for column in ("embedding", "raw_state", "constant"):
+        assert found[column]["path_error"] is None and found[column]["duration_error"] is None
+    assert found["intervals"] == {}
+    assert set(found["not_available"]) == {"path_error", "path_error_std", "duration_error", "intervals"}

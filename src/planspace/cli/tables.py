@@ -35,7 +35,8 @@ def print_columns(title: str, columns: Mapping[str, Mapping[str, Any]]) -> None:
 
     Args:
         title: printed above the names of the rows.
-        columns: name of a column to its values by row; a missing value leaves its cell empty.
+        columns: name of a column to its values by row; a missing value leaves its cell empty,
+            and None is shown as n/a.
     """
     print(f"{title:<20}" + "".join(f"{name:>18}" for name in columns))
     for row in next(iter(columns.values())):
@@ -44,4 +45,6 @@ def print_columns(title: str, columns: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def _short(value: Any) -> str:
+    if value is None:
+        return "n/a"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
 Value = TypeVar("Value")
-Metrics = Mapping[str, int | float]
-"""The fields of `planspace.embed.geometry.Geometry`, by name."""
+Metrics = Mapping[str, int | float | None]
+"""The fields of `planspace.embed.geometry.Geometry`, by name; None if there is nothing to measure."""
 SPLITS = ("train", "validation", "test")
 
 
@@ -108,7 +108,7 @@ def _objective(saved: Mapping[str, Any]) -> ObjectiveSummary:
 
 
 def _metrics(saved: Mapping[str, Any]) -> Metrics:
-    return {name: _number(value) for name, value in saved.items()}
+    return {name: None if value is None else _number(value) for name, value in saved.items()}
 
 
 def _intervals(saved: Mapping[str, Any]) -> dict[str, tuple[float, float]]:

@@ -124,9 +124,13 @@ def _seeds(about: About) -> str:
     seeds = about.settings.seeds
     if len(seeds) < 2:
         return f"one seed: {about.seed}"
-    choice = CHOICE.get(about.preset)
+    alone = about.metrics["train"].get("path_error", 0.0) is None
+    choice = CHOICE.get("modern" if alone else about.preset)
     line = f"seeds {', '.join(map(str, seeds))}; {about.seed} is selected" + (f": {choice}" if choice else "")
-    errors = [metrics["midpoint_error"] for metrics in about.metrics_of_seeds.values()]
+    known = [metrics["midpoint_error"] for metrics in about.metrics_of_seeds.values()]
+    errors = [error for error in known if error is not None]
+    if not errors:
+        return line
     return (
         f"{line} (midpoint errors on the validation split: {_number(min(errors))} to {_number(max(errors))})"
     )
@@ -163,9 +167,10 @@ def _geometry(about: About) -> str:
         baselines = (_number(g.get(name)) for g in (about.metrics_raw_state, about.metrics_constant))
         rows.append([title, z, *baselines, ideal])
     header = ["metric", "z [95 % interval]", "raw state", "constant z", "ideal"]
+    count = _count(int(metrics["num_demos"] or 0), "demonstration")
     text = (
-        f"Measured on the {_count(int(metrics['num_demos']), 'demonstration')} of the test split, which was "
-        "used neither to train nor to select the seed. `planspace measure` measures other demonstrations. "
+        f"Measured on the {count} of the test split, which was used neither to train nor to select the seed. "
+        "A metric that cannot be measured has a dash. `planspace measure` measures other demonstrations. "
         "`Geometry` in `planspace.embed.geometry` defines the metrics."
     )
     return f"## Geometry on the test split\n\n{_table(header, rows)}\n\n{text}"

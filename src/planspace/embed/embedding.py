@@ -245,7 +245,9 @@ class Embedding:
             "objective": settings.fit.get("objective", {}).get("name", ""),
             "preset": self.about.preset,
             "seed": f"{self.about.seed} of {', '.join(map(str, settings.seeds))}",
-            "test split": ", ".join(f"{n.replace('_', ' ')} {metrics[n]:.3f}" for n in shown if n in metrics),
+            "test split": ", ".join(
+                f"{n.replace('_', ' ')} {metrics[n]:.3f}" for n in shown if metrics.get(n) is not None
+            ),
         }
 
     @property

@@ -185,11 +185,11 @@ def _train_and_save(
         ),
         problem=prepared.demos.info.problem,
         split={name: tuple(part.tolist()) for name, part in split.items()},
-        metrics={name: asdict(measure(best, used, part)) for name, part in split.items()},
+        metrics={name: measure(best, used, part).plain() for name, part in split.items()},
         intervals={"test": bootstrap_intervals(tabulate(best, used, split["test"]))},
-        metrics_raw_state=asdict(measure_raw_state(used, split["test"], split["train"])),
-        metrics_constant=asdict(measure_constant(used, split["test"])),
-        metrics_of_seeds={s: asdict(g) for s, g in zip(seeds, validation, strict=True)},
+        metrics_raw_state=measure_raw_state(used, split["test"], split["train"]).plain(),
+        metrics_constant=measure_constant(used, split["test"]).plain(),
+        metrics_of_seeds={s: g.plain() for s, g in zip(seeds, validation, strict=True)},
         versions=Provenance.current("mujoco", "jax").plain(),
     )
     embedding = replace(best, support=support, about=about)
@@ -271,15 +271,21 @@ class _Log:
     def __call__(self, step: int, before: int, models: PlanSpaceModel, terms: dict[str, list[float]]) -> None:
         """Append a row for the steps from `before` to `step`: lists by name, with one number per seed."""
         current = self.to_embeddings(models)
-        row = {**terms, "path_error": paper_path_errors(current, self.demos, self.split["train"])}
+        path_errors = paper_path_errors(current, self.demos, self.split["train"])
+        row = {**terms, "path_error": _known(path_errors)}
         every = -(-self.steps // MEASURED)
         if step // every > before // every or step == self.steps:
             measured = [measure(e, self.demos, self.split["validation"]) for e in current]
-            row |= {name: [getattr(g, name) for g in measured] for name in CURVES}
+            row |= {name: _known([getattr(g, name) for g in measured]) for name in CURVES}
         append_rows(self.path, [{"step": step, "time": time.time(), **row}], key="step")
         if self.tracker is not None:
             for i, seed in enumerate(self.seeds):
                 self.tracker.add(step, {f"{name}/seed {seed}": values[i] for name, values in row.items()})
+
+
+def _known(values: list[float]) -> list[float | None]:
+    """Numbers for the log; None for one that cannot be measured."""
+    return [None if np.isnan(value) else value for value in values]
 
 
 def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: FitConfig) -> Embedding:
@@ -297,9 +303,16 @@ def to_numpy(models: PlanSpaceModel, seed_index: int, inputs: Inputs, config: Fi
 def choose(
     embeddings: list[Embedding], demos: Demos, split: dict[str, np.ndarray], config: FitConfig
 ) -> tuple[int, list[Geometry]]:
-    """Select a seed; return its index and the validation metrics of all seeds."""
+    """Select a seed; return its index and the validation metrics of all seeds.
+
+    `paper` selects like `modern` if one training demonstration is long enough to measure, because a single
+    demonstration has no path error.
+    """
     validation = [measure(e, demos, split["validation"]) for e in embeddings]
     if config.preset == "paper":
-        return int(np.argmin(paper_path_errors(embeddings, demos, split["train"]))), validation
-    scores = [(-g.active_dims, g.midpoint_error) for g in validation]  # a collapsed seed only if all are
-    return min(range(len(scores)), key=lambda i: scores[i]), validation
+        path_errors = paper_path_errors(embeddings, demos, split["train"])
+        if not np.isnan(path_errors).any():
+            return int(np.argmin(path_errors)), validation
+    errors = [np.inf if np.isnan(g.midpoint_error) else g.midpoint_error for g in validation]
+    scores = [(-g.active_dims, e) for g, e in zip(validation, errors, strict=True)]
+    return min(range(len(scores)), key=lambda i: scores[i]), validation  # a collapsed seed only if all are

@@ -23,7 +23,12 @@ from planspace.physics.angles import wrap
 MIN_STATES = 12
 """Demonstrations with fewer states are left out: too short to measure."""
 MIDPOINT_SPACINGS = (5, 10, 30)
-MIN_LENGTH = 1e-9
+MAX_MIDPOINT_ERROR = 100.0
+"""Bound of the midpoint error of a triplet. Above it, the path between the ends is over 200 times as long as
+their distance: it comes back to where it was."""
+MIN_STD_FRACTION, STD_ROWS = 0.01, 2000
+"""A number's standard deviation counts as at least this fraction of that over the whole dataset, of which
+about so many states are looked at."""
 ACTIVE_FRACTION = 0.01
 """A dimension of z has collapsed if its variance is below this fraction of the mean over dimensions."""
 CONFIDENCE, BOOTSTRAP_DRAWS = 0.95, 1000
@@ -34,7 +39,10 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Geometry:
-    """The metrics; the value for a perfectly straight plan at constant speed is in brackets."""
+    """The metrics; the value for a perfectly straight plan at constant speed is in brackets.
+
+    A metric is NaN if there is nothing to measure, and `missing` says why.
+    """
 
     straightness: float
     """|z_T - z_0| divided by the length of the path in z, mean over demonstrations [1]."""
@@ -58,6 +66,22 @@ class Geometry:
     """Root mean square error of the state decoded from z, in standard deviations of each number."""
     num_demos: int
     """Number of demonstrations measured."""
+
+    def plain(self) -> dict[str, int | float | None]:
+        """Return the metrics by name for JSON; None if there is nothing to measure."""
+        return {name: None if np.isnan(value) else value for name, value in asdict(self).items()}
+
+    def missing(self) -> dict[str, str]:
+        """The reason for each metric, and for `intervals`, that there is nothing to measure."""
+        one = "one demonstration alone: its length always fits its own distance"
+        same = one if self.num_demos == 1 else "no demonstration moves"
+        reasons: dict[str, str] = {}
+        reasons |= dict.fromkeys(("path_error", "path_error_std", "duration_error"), same)
+        reasons |= dict.fromkeys(("speed_variation", "midpoint_error"), "z does not move")
+        found = {name: reasons[name] for name, value in self.plain().items() if value is None}
+        if self.num_demos == 1:
+            found["intervals"] = "one demonstration alone has no spread"
+        return found
 
 
 class DemoMetrics(NamedTuple):
@@ -166,17 +190,17 @@ def measure_each(
 
 def summarise(table: DemoMetrics) -> Geometry:
     """Compute the metrics over all demonstrations of a table."""
-    path_errors = scaled_errors(table.chord, table.raw_length)
+    path_errors = _comparable(table.chord, table.raw_length)
     covariance = _covariance(table.moments.sum(axis=0))
     count = table.moments[:, 0, 0]
     return Geometry(
         straightness=float(table.straightness.mean()),
-        speed_variation=float(table.speed_variation.mean()),
-        midpoint_error=float(table.midpoint_error.mean()),
+        speed_variation=_mean_of_known(table.speed_variation),
+        midpoint_error=_mean_of_known(table.midpoint_error),
         time_correlation=float(table.time_correlation.mean()),
         path_error=float(path_errors.mean()),
         path_error_std=float(path_errors.std()),
-        duration_error=float(scaled_errors(table.chord, table.duration).mean()),
+        duration_error=float(_comparable(table.chord, table.duration).mean()),
         effective_rank=effective_rank(covariance),
         active_dims=int((np.diag(covariance) > ACTIVE_FRACTION * np.diag(covariance).mean()).sum()),
         decoded_error=float(np.sqrt(np.average(table.squared_error, weights=count))),
@@ -185,28 +209,40 @@ def summarise(table: DemoMetrics) -> Geometry:
 
 
 def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Interval]:
-    """Compute a 95 % percentile interval of each metric by drawing demonstrations with replacement."""
+    """Compute a 95 % percentile interval of each metric by drawing demonstrations with replacement.
+
+    One demonstration has no intervals. A metric that cannot be measured has none either.
+    """
     rng, count = np.random.default_rng(seed), len(table.chord)
-    draws = [
-        asdict(summarise(DemoMetrics(*(column[chosen] for column in table))))
-        for chosen in rng.integers(count, size=(BOOTSTRAP_DRAWS, count))
-    ]
-    tail = (1 - CONFIDENCE) / 2
-    names = [f.name for f in fields(Geometry) if f.name != "num_demos"]
-    quantiles = {name: np.quantile([d[name] for d in draws], [tail, 1 - tail]) for name in names}
-    return {name: (float(low), float(high)) for name, (low, high) in quantiles.items()}
+    if count < 2:
+        return {}
+    draws: list[dict[str, float]] = []
+    for chosen in rng.integers(count, size=(BOOTSTRAP_DRAWS, count)):
+        if (chosen == chosen[0]).all():  # one demonstration again and again
+            chosen = chosen[:1]
+        draws.append(asdict(summarise(DemoMetrics(*(column[chosen] for column in table)))))
+    tail, found = (1 - CONFIDENCE) / 2, {}
+    for name in (f.name for f in fields(Geometry) if f.name != "num_demos"):
+        known = [draw[name] for draw in draws if not np.isnan(draw[name])]
+        if known:
+            low, high = np.quantile(known, [tail, 1 - tail])
+            found[name] = (float(low), float(high))
+    return found
 
 
 def paper_path_errors(
     embeddings: Sequence[Embedding], demos: Demos, episodes: Int[np.ndarray, " demo"]
 ) -> list[float]:
-    """Compute only `path_error`, for embeddings that read the same states; fast enough for the log."""
+    """Compute only `path_error`, for embeddings that read the same states; fast enough for the log.
+
+    It is NaN if fewer than two demonstrations are long enough.
+    """
     demos = demos.select(embeddings[0].inputs.names)
     measured = episodes[np.diff(demos.offsets)[episodes] >= MIN_STATES]
     first, last = demos.offsets[measured], demos.offsets[measured + 1] - 1
     length = np.array([_steps(demos.episode(int(i)).states).sum() for i in measured])
     chords = [e.distance(demos.states[first], demos.states[last]) for e in embeddings]
-    return [float(scaled_errors(chord, length).mean()) for chord in chords]
+    return [float(_comparable(chord, length).mean()) for chord in chords]
 
 
 def scaled_errors(d: Float[np.ndarray, " demo"], y: Float[np.ndarray, " demo"]) -> np.ndarray:
@@ -215,6 +251,17 @@ def scaled_errors(d: Float[np.ndarray, " demo"], y: Float[np.ndarray, " demo"]) 
     square = np.sum(d**2)
     scale = np.sum(d * y) / square if square > 0 else 0.0
     return np.abs(scale * d - y)
+
+
+def _comparable(d: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`scaled_errors`, or NaN if there is nothing to compare: one demonstration, or none that moves."""
+    return scaled_errors(d, y) if len(y) > 1 and y.any() else np.full(len(y), np.nan)
+
+
+def _mean_of_known(values: np.ndarray) -> float:
+    """The mean of the values that are known; NaN if none is."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else float("nan")
 
 
 def effective_rank(covariance: Float[np.ndarray, "z z"]) -> float:
@@ -240,7 +287,7 @@ def _straightness(z: np.ndarray) -> float:
 
 def _speed_variation(z: np.ndarray) -> float:
     speed = _steps(z)
-    return float(speed.std() / speed.mean()) if speed.mean() > 0 else 0.0
+    return float(speed.std() / speed.mean()) if speed.mean() > 0 else float("nan")
 
 
 def _midpoint_error(z: np.ndarray) -> float:
@@ -248,9 +295,13 @@ def _midpoint_error(z: np.ndarray) -> float:
     for s in MIDPOINT_SPACINGS:
         if len(z) > 2 * s:
             a, t, b = z[: -2 * s], z[s:-s], z[2 * s :]
-            gap = np.maximum(np.linalg.norm(b - a, axis=1), MIN_LENGTH)
-            means.append(np.mean(np.linalg.norm(t - (a + b) / 2, axis=1) / gap))
-    return float(np.mean(means))
+            error, gap = np.linalg.norm(t - (a + b) / 2, axis=1), np.linalg.norm(b - a, axis=1)
+            moves = (error > 0) | (gap > 0)  # a triplet that stands still has no midpoint error
+            bound = MAX_MIDPOINT_ERROR
+            ratio = np.divide(error, gap, out=np.full(len(gap), bound), where=gap * bound > error)
+            if moves.any():
+                means.append(np.mean(ratio[moves]))
+    return float(np.mean(means)) if means else float("nan")
 
 
 def _time_correlation(z: np.ndarray, times: np.ndarray) -> float:
@@ -273,5 +324,7 @@ def _squared_errors(
     error = with_signs_of(decoded, states, quaternions) - states
     columns = list(demos.info.circular_columns)
     error[:, columns] = wrap(error[:, columns])
-    std = states.std(axis=0)
+    sample = demos.states[:: max(1, len(demos.states) // STD_ROWS)]
+    least = MIN_STD_FRACTION * with_one_sign(sample, quaternions).std(axis=0)
+    std = np.maximum(states.std(axis=0), least)
     return np.mean((error / np.where(std > 0, std, 1.0)) ** 2, axis=1)

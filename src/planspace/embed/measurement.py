@@ -35,11 +35,21 @@ class SplitMeasurement:
     embedding: Geometry
     """The geometry in z."""
     intervals: Mapping[str, Interval]
-    """The 95 % interval of each metric of z over demonstrations."""
+    """The 95 % interval of each metric of z over demonstrations; empty for one demonstration."""
     raw_state: Geometry
     """The geometry of the raw state, standardised by the training split."""
     constant: Geometry
     """The geometry of a constant z."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; a metric that cannot be measured is None."""
+        return {
+            "embedding": self.embedding.plain(),
+            "intervals": dict(self.intervals),
+            "raw_state": self.raw_state.plain(),
+            "constant": self.constant.plain(),
+            "not_available": self.embedding.missing(),
+        }
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ class Measurement:
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain data for JSON; what does not apply is left out."""
         checks = {name: value for name, value in asdict(self.checks).items() if value is not None}
-        found = {"splits": {name: asdict(part) for name, part in self.splits.items()}, "checks": checks}
+        found = {"splits": {name: part.to_dict() for name, part in self.splits.items()}, "checks": checks}
         if self.true_times is None:
             return found
         times = {

@@ -1,6 +1,7 @@
 """Read the log of an embedding's training."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
@@ -14,8 +15,8 @@ class LogRow(TypedDict):
 
     step: int
     """Optimiser steps so far."""
-    path_error: NotRequired[list[float]]
-    """Path error on the training demonstrations."""
+    path_error: NotRequired[Sequence[float | None]]
+    """Path error on the training demonstrations; None if there is only one."""
     bound: NotRequired[list[float]]
     """Mean value of the objective per triplet [nats]."""
 
