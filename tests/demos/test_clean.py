@@ -106,3 +106,22 @@ def test_the_rows_of_states_are_stored_as_runs() -> None:
     origin = Origin.of_rows("a.csv", "line", np.array([2, 3, 4, 9, 8, 10, 11]))
     assert origin.starts == (0, 3, 4, 5) and [origin.row(i) for i in range(7)] == [2, 3, 4, 9, 8, 10, 11]
     assert origin.take(np.array([1, 6])).place(1) == "a.csv, line 11"
+
+
+def test_outliers_are_kept_and_reported(tmp_path: Path, capsys) -> None:
+    x = np.sin(np.arange(200) / 20)
+    x[77] = 8.0
+    text = "\n".join(["time,x", *(f"{i / 10},{value!r}" for i, value in enumerate(x.tolist()))])
+    assert load(tmp_path, text).states[77, 0] == 8.0
+    assert "x: 1 outlier, kept (" in (err := capsys.readouterr().err) and "a.csv, line 79: 8)" in err
+    assert "ticks" not in err
+
+
+def test_ticks_of_a_sensor_are_reported_and_those_of_a_switch_are_not(tmp_path: Path, capsys) -> None:
+    x = np.round(np.sin(np.arange(300) / 30) / 0.02) * 0.02  # a sine of 1 in ticks of 0.02
+    switch = (np.arange(300) % 50 < 25).astype(float)
+    lines = [f"{i / 10},{a!r},{b}" for i, (a, b) in enumerate(zip(x.tolist(), switch.tolist(), strict=True))]
+    load(tmp_path, "\n".join(["time,x,switch", *lines]))
+    assert (
+        "the sensor ticks are as large as most steps of x (0.02): a lower --rate" in capsys.readouterr().err
+    )

@@ -38,6 +38,12 @@ class Meaning:
         """Whether `apply` changes anything."""
         return self.columns != tuple(range(len(self.columns))) or any(f != 1.0 for f in self.factors)
 
+    @property
+    def rotations(self) -> tuple[int, ...]:
+        """Columns of the source that are angles on a circle or belong to quaternions."""
+        quaternions = [first + k for first in self.info.quaternion_columns for k in range(4)]
+        return tuple(self.columns[place] for place in (*self.info.circular_columns, *quaternions))
+
     def apply(self, episode: Episode) -> Episode:
         """A demonstration with the states of the dataset."""
         columns, factors = list(self.columns), np.array(self.factors)

@@ -31,6 +31,7 @@ from planspace.demos.splits import are_complete, chosen_splits, place_splits
 from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
 from planspace.demos.survey import Survey
+from planspace.demos.suspects import Suspects
 from planspace.errors import PlanspaceError
 from planspace.progress import progress_over
 
@@ -79,19 +80,12 @@ def prepare(
     columns = [use.name for use in imported.uses]
     meaning = declare_states(imported.info, survey, options, columns, guess=not imported.exported)
     show(import_table(imported, meaning, survey, len(recorded)))
-    demos = _declare(recorded, origins, meaning, imported.keep_angles, cleaning, options, staging)
-    notices = [*imported.notices, *cleaning.notices(options.gaps)]
-    step = None if options.as_recorded else _wanted_step(demos, options.rate)
-    if step is not None:
-        count = sum(not has_step(episode, step) for episode in demos.episodes())
-        notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
-        align = resample if options.rate is None else thin
-        resampled = (align(episode, demos.info, step) for episode in demos.episodes())
-        resampled = progress_over(resampled, "resample", unit="demo", total=len(demos))
-        even = _stage(staging / RESAMPLED, demos.info, resampled)
-        assert even is not None
-        remove(demos.path)
-        demos = even
+    suspects = Suspects(imported.info.names, survey, meaning.rotations)
+    located = zip(recorded.episodes(), origins, strict=True)
+    watched = suspects.watch(replace(episode, origin=origin) for episode, origin in located)
+    demos = _declare(recorded, watched, meaning, imported.keep_angles, cleaning, options, staging)
+    notices = [*imported.notices, *cleaning.notices(options.gaps), *suspects.notices()]
+    demos = _align(demos, options, staging, notices)
     named = chosen_splits(options.split, imported.splits, columns)
     splits = place_splits(named, _indices(demos)) if named else {}
     if not named and are_complete(imported.splits):
@@ -103,6 +97,23 @@ def prepare(
 def _indices(demos: StoredDemos) -> np.ndarray:
     """The number of each demonstration in its source."""
     return np.concatenate([part.indices for part in demos.shards()])
+
+
+def _align(demos: StoredDemos, options: ImportOptions, staging: Path, notices: list[str]) -> StoredDemos:
+    """Resample or thin demonstrations to one time step, if they have different ones."""
+    step = None if options.as_recorded else _wanted_step(demos, options.rate)
+    if step is None:
+        return demos
+    count = sum(not has_step(episode, step) for episode in demos.episodes())
+    notices.append(f"resampled {count} of {len(demos)} demonstrations to a step of {step:.6g} s")
+    align = resample if options.rate is None else thin
+    aligned = (align(episode, demos.info, step) for episode in demos.episodes())
+    even = _stage(
+        staging / RESAMPLED, demos.info, progress_over(aligned, "resample", unit="demo", total=len(demos))
+    )
+    assert even is not None
+    remove(demos.path)
+    return even
 
 
 def _wanted_step(demos: StoredDemos, rate: float | None) -> float | None:
@@ -142,7 +153,7 @@ def _stage(path: Path, info: StateInfo, episodes: Iterable[Episode]) -> StoredDe
 
 def _declare(
     demos: StoredDemos,
-    origins: list[Origin | None],
+    episodes: Iterable[Episode],
     meaning: Meaning,
     keep_windings: bool,
     cleaning: Cleaning,
@@ -156,9 +167,8 @@ def _declare(
         longest = np.inf
 
     def declared() -> Iterator[Episode]:
-        located = zip(demos.episodes(), origins, strict=True)
-        episodes = (meaning.apply(replace(episode, origin=origin)) for episode, origin in located)
-        for episode in cleaning.split_gaps(episodes, longest, options.gaps):
+        applied = map(meaning.apply, episodes)
+        for episode in cleaning.split_gaps(applied, longest, options.gaps):
             if options.as_recorded:
                 yield episode
             else:
@@ -166,6 +176,8 @@ def _declare(
 
     angles = meaning.info.circular_columns or meaning.info.quaternion_columns
     if not meaning.changes_numbers and meaning.info == demos.info and not angles and longest == np.inf:
+        for _ in episodes:  # they are watched
+            pass
         return demos
     staged = _stage(staging / DECLARED, meaning.info, declared())
     if options.gaps == "refuse":

@@ -11,6 +11,8 @@ from planspace.physics.angles import TWO_PI
 
 ROUNDING = 1e-6
 """Relative tolerance on the period of an angle that is stored in float32."""
+ROUNDING_STEP = 1e-9
+"""A step shorter than this fraction of the largest value is rounding."""
 SAME_STEP = 1e-3
 """Relative difference below which steps of a clock are equal."""
 QUATERNION_SIZE, UNIT_LENGTH = 4, 1e-2
@@ -33,6 +35,10 @@ class Survey:
         """Longest demonstration [s]."""
         self.locked = np.ones(num_states, dtype=bool)
         """Whether each state is constant within every demonstration."""
+        self.least_step = np.full(num_states, np.inf)
+        """Shortest step of each state that is not 0."""
+        self._path, self._num_steps = np.zeros(num_states), 0
+        self._num_moving = np.zeros(num_states, dtype=int)
         self._step_low = np.full(num_states, np.inf)
         self._step_high = np.full(num_states, -np.inf)
         windows = max(0, num_states - QUATERNION_SIZE + 1)
@@ -57,10 +63,25 @@ class Survey:
             return
         steps = np.diff(states, axis=0)
         self.locked &= (steps == 0).all(axis=0)
+        length = np.abs(steps)
+        moving = length > ROUNDING_STEP * np.maximum(np.abs(self.low), np.abs(self.high))
+        self.least_step = np.minimum(self.least_step, np.where(moving, length, np.inf).min(axis=0))
+        self._path, self._num_steps = self._path + length.sum(axis=0), self._num_steps + len(steps)
+        self._num_moving += moving.sum(axis=0)
         self._step_low = np.minimum(self._step_low, steps.min(axis=0))
         self._step_high = np.maximum(self._step_high, steps.max(axis=0))
         for wraps in self._wraps.values():
             wraps.update(states, steps)
+
+    @property
+    def average_step(self) -> Float[np.ndarray, " state"]:
+        """Average length of the steps of each state."""
+        return self._path / max(1, self._num_steps)
+
+    @property
+    def moving(self) -> Float[np.ndarray, " state"]:
+        """Fraction of the steps in which each state changes."""
+        return self._num_moving / max(1, self._num_steps)
 
     @property
     def clocks(self) -> Bool[np.ndarray, " state"]:

@@ -35,6 +35,7 @@ def test_both_layouts_give_the_same_demonstrations(write: Callable, tmp_path: Pa
     assert capsys.readouterr().err == (
         "left out: observation.effort (2 numbers), observation.images.top (video), next.reward (1 numbers); "
         "--state NAME=KEY[INDEX] chooses other numbers.\n"
+        "the source names the splits train (2), test (1): --split source uses them.\n"
     )
 
 
