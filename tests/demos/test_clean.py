@@ -113,7 +113,7 @@ def test_outliers_are_kept_and_reported(tmp_path: Path, capsys) -> None:
     x[77] = 8.0
     text = "\n".join(["time,x", *(f"{i / 10},{value!r}" for i, value in enumerate(x.tolist()))])
     assert load(tmp_path, text).states[77, 0] == 8.0
-    assert "x: 1 outlier, kept (" in (err := capsys.readouterr().err) and "a.csv, line 79: 8)" in err
+    assert "1 outlier is kept: in x (" in (err := capsys.readouterr().err) and "a.csv, line 79: 8)" in err
     assert "ticks" not in err
 
 

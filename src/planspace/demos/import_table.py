@@ -37,7 +37,9 @@ def _uses(imported: Imported) -> list[Use]:
     """The states and controls of a source that is not a table."""
     info = imported.info
     states = [Use(name, "state", index=i) for i, name in enumerate(info.names)]
-    return states + [Use(f"control{i + 1}", "control", index=i) for i in range(info.num_controls)]
+    return [Use("time", "time", "s"), *states] + [
+        Use(f"control{i + 1}", "control", index=i) for i in range(info.num_controls)
+    ]
 
 
 def _row(

@@ -1,4 +1,4 @@
-"""Numbers that look wrong or rough but are kept: single outliers, and states that move in ticks of a sensor."""
+"""Numbers that look wrong or rough but are kept: outliers, and states that move in ticks of a sensor."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -15,6 +15,8 @@ this many average steps."""
 MOST_TICKS, FEWEST_LEVELS, LEAST_MOVING = 3.0, 10, 0.2
 """A state moves in ticks if its average step has at most this many of them, it has at least this many levels,
 and it moves in at least this fraction of the rows: a switch does not."""
+MAX_STATES = 5
+"""Number of states that a line about outliers names."""
 WHOLE = 0.01
 """A number of ticks may differ from a whole number by this much."""
 
@@ -46,11 +48,14 @@ class Suspects:
             yield episode
 
     def notices(self) -> list[str]:
-        """One line for each state with outliers, and one for all states with ticks."""
-        lines = [
-            f"{self._names[column]}: {found.text('outlier, kept', 'outliers, kept')}"
-            for column, found in sorted(self._outliers.items())
-        ]
+        """A line for the outliers and a line for the ticks, if there are any."""
+        lines = []
+        if self._outliers:
+            num = sum(found.count for found in self._outliers.values())
+            first = [f"{self._names[c]} ({found.places[0]})" for c, found in sorted(self._outliers.items())]
+            more = f" and {len(first) - MAX_STATES} more states" if len(first) > MAX_STATES else ""
+            what = "outlier is kept: in" if num == 1 else "outliers are kept, the first in"
+            lines.append(f"{num} {what} {', '.join(first[:MAX_STATES])}{more}")
         if ticked := np.flatnonzero(self._ticked).tolist():
             ticks = ", ".join(f"{self._names[c]} ({self._survey.least_step[c]:.3g})" for c in ticked)
             lines.append(
@@ -78,4 +83,4 @@ class Suspects:
     def _are_whole(self, steps: Float[np.ndarray, "step state"]) -> Bool[np.ndarray, " state"]:
         with np.errstate(divide="ignore", invalid="ignore"):
             ticks = steps / self._survey.least_step
-        return (np.abs(ticks - np.round(ticks)) <= WHOLE).all(axis=0)
+        return np.all(np.abs(ticks - np.round(ticks)) <= WHOLE, axis=0)
