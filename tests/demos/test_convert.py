@@ -30,7 +30,7 @@ CSV = "time,x\n0,1\n0.1,2\n0.2,3\n"
         (
             [],
             [],
-            "give a source to import: FILE.npz, FILE.csv, minari:ID, FILE.hdf5, lerobot:DIR, FILE.json,",
+            "give a source to import: FILE.npz, FILE.csv, minari:ID, FILE.hdf5, lerobot:DIR, FILE.parquet,",
         ),
         ([], ["demos"], "demos is not a source of demonstrations; expected FILE.npz"),
         (["a.txt"], ["a.txt"], "a.txt is not a source of demonstrations"),

@@ -117,7 +117,7 @@ class Format:
     pattern: str
     """How a source is written, such as `FILE.npz`; shown in messages."""
     recognises: Callable[[str], bool]
-    """Whether a source has this format, judged by its name only."""
+    """Whether a source has this format, judged by its name or by the names of the files in a folder."""
     read: ReadFn
     """Read sources of this format, in the given order, as one dataset.
 

@@ -42,11 +42,12 @@ def parquet_module() -> Any:
 
 
 @contextmanager
-def open_parquet(file: Path) -> Iterator[Any]:
+def open_parquet(file: Path, *, may_be_link: bool = False) -> Iterator[Any]:
     """Open a Parquet file for reading, after a check that it refers to no other files.
 
     Args:
-        file: the file; it must lie in its folder.
+        file: the file.
+        may_be_link: whether it may be a link out of its folder; set it for a file that the user gave.
 
     Yields:
         The `pyarrow.parquet.ParquetFile`. Read its columns with `read_batches`.
@@ -57,7 +58,7 @@ def open_parquet(file: Path) -> Iterator[Any]:
             error.
     """
     parquet = parquet_module()
-    check_file(file)
+    check_file(file, may_be_link=may_be_link)
     try:
         with explain_read(file), open(file, "rb") as source:
             opened = parquet.ParquetFile(

@@ -13,7 +13,7 @@ from typing import Any
 
 from planspace.demos.episode import Episode
 from planspace.demos.folder import DemoFolder
-from planspace.demos.recording import Imported, ImportOptions, source_name
+from planspace.demos.recording import Imported, ImportOptions, Use, source_name
 from planspace.demos.state_info import StateInfo, parse_info
 from planspace.demos.stored import StoredDemos
 from planspace.mjcf.subprocess_model import MEMORY_BYTES
@@ -56,7 +56,14 @@ def read_in_subprocess(
     except BaseException:
         staging.cleanup()
         raise
-    return Imported(stored.info, _episodes(stored, staging), tuple(answer["notices"]), **answer["known"])
+    return Imported(
+        stored.info,
+        _episodes(stored, staging),
+        tuple(answer["notices"]),
+        exported=answer["exported"],
+        uses=tuple(Use(**use) for use in answer["uses"]),
+        splits=answer["splits"],
+    )
 
 
 def _episodes(stored: StoredDemos, staging: tempfile.TemporaryDirectory) -> Iterator[Episode]:
@@ -67,12 +74,19 @@ def _episodes(stored: StoredDemos, staging: tempfile.TemporaryDirectory) -> Iter
 def _work(request: dict[str, Any]) -> dict[str, Any]:
     """Read the sources of one request into a dataset folder."""
     from planspace.demos.formats.registry import FORMATS
+    from planspace.demos.tables import import_tables
 
     info = parse_info(request["info"]) if request["info"] else None
-    imported = FORMATS[request["format"]].read(request["sources"], info, ImportOptions(**request["options"]))
+    options = ImportOptions(**request["options"])
+    found = FORMATS[request["format"]].read(request["sources"], info, options)
+    imported = found if isinstance(found, Imported) else import_tables(found, info, options)
     DemoFolder(Path(request["out"]), imported.info, {}).extend(imported.episodes)
-    splits = {name: list(numbers) for name, numbers in imported.splits.items()}
-    return {"notices": imported.notices, "known": {"exported": imported.exported, "splits": splits}}
+    return {
+        "notices": imported.notices,
+        "exported": imported.exported,
+        "uses": [asdict(use) for use in imported.uses],
+        "splits": {name: list(numbers) for name, numbers in imported.splits.items()},
+    }
 
 
 if __name__ == "__main__":

@@ -2,11 +2,13 @@
 
 To add a format, write one file in this folder that defines a `Format`, and add it to `FORMATS`. The commands
 `planspace demos import` and `export`, `load_demos` and the messages that list formats then know it: they ask
-the format whether it recognises a source, never the file name.
+the format whether it recognises a source.
 
-A reader returns the demonstrations one by one where it can (`Imported.episodes` may be a generator), so that
-a source may be larger than memory. The import checks each of them, makes angles continuous, resamples uneven
-time steps and stores the result; the reader does not have to. `npz.py` is a good example.
+A reader of a table of named columns returns `Tables`, as `parquet.py` does; the import then finds times,
+states and controls. Any other reader returns `Imported`, as `npz_mujoco.py` does, with the demonstrations one
+by one where it can (`Imported.episodes` may be a generator), so that a source may be larger than memory. The
+import checks each of them, makes angles continuous, resamples uneven time steps and stores the result; the
+reader does not have to.
 """
 
 from planspace.demos.formats.csv import CSV
@@ -15,6 +17,7 @@ from planspace.demos.formats.hdf5 import HDF5
 from planspace.demos.formats.lerobot import LEROBOT
 from planspace.demos.formats.minari import MINARI
 from planspace.demos.formats.npz import NPZ
+from planspace.demos.formats.parquet import PARQUET
 from planspace.demos.formats.plans_2020 import PLANS_2020_JSON, PLANS_2020_OUT
 
 FORMATS: dict[str, Format] = {
@@ -23,6 +26,7 @@ FORMATS: dict[str, Format] = {
     "minari": MINARI,
     "hdf5": HDF5,
     "lerobot": LEROBOT,
+    "parquet": PARQUET,
     "plans-2020-json": PLANS_2020_JSON,
     "plans-2020-out": PLANS_2020_OUT,
 }
