@@ -131,12 +131,12 @@ def test_polish_fails_if_the_goal_is_out_of_reach() -> None:
     problem = load_problem("reacher")
     simulator = make(problem)
     goal = problem.draw_goal(simulator.space, np.random.default_rng(0))
-    polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig())
+    polish = Polish(simulator, goal, problem.weights(simulator.space), PolishConfig(repairs=0))
     assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((5, 2))) is None  # 2 rad in 0.05 s
     assert polish.run(np.array([2.0, 1.57, 0.0, 0.0]), np.zeros((0, 2))) is None
 
 
-def test_a_path_that_is_too_short_is_continued_if_repairs_are_allowed() -> None:
+def test_a_path_that_is_too_short_is_continued_to_the_goal() -> None:
     """The shortest plan takes 20 steps; see above."""
     problem, start = load_problem("reacher"), np.array([2.0, 1.57, 0.0, 0.0])
     simulator = make(problem)

@@ -39,9 +39,9 @@ class PolishConfig:
     tracking_cost: Annotated[float, arg(name="polish-tracking-cost")] = 0.01
     """Cost of the largest control in the feedback, relative to the weighted states. Lower values track more
     stiffly."""
-    repairs: Annotated[int, arg(name="polish-repairs")] = 0
-    """If positive, a path that cannot be landed is continued to the goal by a line no control follows, and
-    at most this many linear programs make it a plan."""
+    repairs: Annotated[int, arg(name="polish-repairs")] = 60
+    """A path that does not arrive is continued to the goal by a straight line, which no control follows, and
+    at most this many linear programs make it a plan; 0 gives up such paths."""
     velocity_margin: Annotated[float, arg(name="polish-velocity-margin")] = 0.0
     """If positive, changes keep velocities below their bounds by this fraction of them. Otherwise a change
     that exceeds a bound is only rejected; set it, for example to 0.01, if velocities reach their bounds."""

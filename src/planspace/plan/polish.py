@@ -5,12 +5,13 @@ change of all controls at once, within their bounds, the joints' limits and a tr
 state at an earlier horizon lies in the goal region. Several fractions of the change are simulated, with
 feedback towards the states that the linear model promises. The horizon shrinks until no program finds a
 shorter plan. `polish_program` holds the linear program, `polish_rollout` the simulations, and
-`polish_repair` what may be done if a plan does not reach its goal.
+`polish_repair` what is done if a plan does not reach its goal.
 
 Rejected: iterative LQR with a terminal cost (it lands, but has no notion of the shortest horizon); shortcuts
 between states of the plan (two states of an underactuated plant can rarely be joined by a shorter edge).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,8 @@ LEAST_TRUST = 0.3
 """The trust region shrinks by no more than this factor at once."""
 SMALLEST_RADIUS = 1e-3
 """The trust region never shrinks below this fraction of a control's range."""
+REPAIR_MARGIN = 0.01
+"""`velocity_margin` of repairs if it is 0: the way to the goal that they start from may exceed the bounds."""
 PATIENCE = 4
 """An aim is given up after this many changes that brought little; one that brought nothing counts twice."""
 
@@ -88,6 +91,7 @@ class Polish:
         low, high = simulator.control_low, simulator.control_high
         self._limits = Limits(simulator.space, goal, low, high, config.velocity_margin)
         self._clearance = clearance
+        self._weights = weights
         self._state_cost = np.asarray(weights, dtype=float) ** 2
         self._control_cost = config.tracking_cost / (0.5 * (high - low)) ** 2
 
@@ -107,9 +111,20 @@ class Polish:
             return None
         found = self._run(start, controls)
         if found is None and self._config.repairs:
-            mended = self._mended(start, controls)
-            found = None if mended is None else self._run(start, mended)
+            found = self._within_velocities()._mended(start, controls)
         return found
+
+    def _within_velocities(self) -> "Polish":
+        """The same polish, which keeps velocities below their bounds."""
+        margin = self._config.velocity_margin or REPAIR_MARGIN
+        return Polish(
+            self._simulator,
+            self._goal,
+            self._weights,
+            replace(self._config, velocity_margin=margin),
+            clearance=self._clearance,
+            effort=self._effort,
+        )
 
     def _run(self, start: np.ndarray, controls: np.ndarray) -> np.ndarray | None:
         least = num_steps(self._config.step_s, self._simulator.model)
@@ -123,7 +138,7 @@ class Polish:
         return np.repeat(improve(rollout, best, trust).controls, stride, axis=0)
 
     def _mended(self, start: np.ndarray, controls: np.ndarray) -> np.ndarray | None:
-        """The controls of a plan that does not arrive, continued to the goal; None if they cannot be."""
+        """A plan that does not arrive, continued to the goal and shortened; None if that fails."""
         simulator = without_contacts(self._simulator) if self._clearance else self._simulator
         for stretch in STRETCHES:
             rollout, guess = self._guess(simulator, start, controls, stretch)
@@ -131,7 +146,7 @@ class Polish:
                 return None
             mended = Repair(rollout, self._limits, self._config.repairs).run(guess)
             if mended is not None:
-                return np.repeat(mended.controls, rollout.stride, axis=0)
+                return self._run(start, np.repeat(mended.controls, rollout.stride, axis=0))
         return None
 
     def _guess(

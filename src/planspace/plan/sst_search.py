@@ -82,7 +82,6 @@ class SSTSearch:
         self.servo = Servo(self.simulator)
         self.space = self.simulator.space
         self.metric = query.metric
-        self.greedy = config.greedy or (BY_METRIC if query.metric else 0.0)
         self.to_goal = np.empty(0)  # distance of each node to the goal by the metric
         self.stride = num_steps(CHECK_S, self.simulator.model)
         self.stretch = 1.0
@@ -136,7 +135,8 @@ class SSTSearch:
     def _select(self, tree: Tree, radius: float) -> np.ndarray:
         """The nodes to extend: those near random states, and a fraction of nodes near the goal."""
         parents = tree.select(tree.features_of(self._targets()), radius)
-        if num := round(self.greedy * len(parents)):
+        greedy = self.config.greedy or (BY_METRIC if self.metric else 0.0)
+        if num := round(greedy * len(parents)):
             nodes = tree.representatives()
             order = nodes[np.argsort(self._distances(tree)[nodes], kind="stable")]
             ranks = len(order) * self.rng.random(num) ** GREED
