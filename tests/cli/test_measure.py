@@ -39,6 +39,13 @@ def test_measuring_draws_the_figures(
     code, out, _ = call(capsys, *command)
     for said in ("train  ", "validation  ", "test  ", "95 % interval", "raw state", "true_time_correlation"):
         assert said in out
+    for said in (
+        "n/a: path_error, path_error_std, duration_error (one demonstration",
+        "sampling: one state every",
+    ):
+        assert said in out
+    last = out[out.index("\nverdict\n") :]
+    assert "\n  weak           Only 1 demonstration of the test split" in last and "\n  try  " in last
     for said in ("true times, on plans", "rank_correlation", "by tenths", "true (raw state)"):
         assert said in out
     assert code == 0 and re.search(rf"^figures +{re.escape(str(pictures))}$", out, flags=re.MULTILINE)
@@ -58,7 +65,9 @@ def test_other_demos_are_drawn_whole_and_json_stays_json(
     shutil.copytree(embedding_folder, tmp_path / "e", ignore=shutil.ignore_patterns("log.jsonl"))
     command = ["measure", tmp_path / "e", tmp_path / "other", "--plot", tmp_path / "p", "--json"]
     code, out, _ = call(capsys, *command)
-    assert code == 0 and json.loads(out)["figures"] == str(tmp_path / "p")
+    found = json.loads(out)
+    assert code == 0 and found["figures"] == str(tmp_path / "p")
+    assert list(found["verdict"]) == ["good", "weak", "not_supported", "try"]
     assert "<title>3 demonstrations of" in (tmp_path / "p" / "paths.html").read_text()
     assert not (tmp_path / "p" / "training.png").exists()  # there is no log to draw
     (tmp_path / "file").touch()

@@ -117,7 +117,13 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
 
 
 def fit_seeds(
-    demos: Demos, out: Path, *, config: FitConfig, seeds: Sequence[int], split_seed: int
+    demos: Demos,
+    out: Path,
+    *,
+    config: FitConfig,
+    seeds: Sequence[int],
+    split_seed: int,
+    split: dict[str, np.ndarray] | None = None,
 ) -> list[Embedding]:
     """Train the given seeds and return the embedding of each, without selecting one.
 
@@ -126,12 +132,13 @@ def fit_seeds(
         out: a folder for the checkpoint and the log.
         config: how to train.
         seeds: the seeds; an objective with a closed form gives one embedding for any seeds.
-        split_seed: seed of the split of the demonstrations.
+        split_seed: seed of the split of the demonstrations, and of the triplets.
+        split: the split; by default it is drawn.
 
     Raises:
         PlanspaceError: the demonstrations cannot be used, or a seed diverged.
     """
-    return _train_seeds(_prepare(demos, config, split_seed), out, config, seeds, tensorboard=False)
+    return _train_seeds(_prepare(demos, config, split_seed, split), out, config, seeds, tensorboard=False)
 
 
 @dataclass(frozen=True)
@@ -213,8 +220,10 @@ class _Prepared:
     """The embedding in closed form, if the objective has one."""
 
 
-def _prepare(demos: Demos, config: FitConfig, split_seed: int) -> _Prepared:
-    split = demos.split(split_seed)
+def _prepare(
+    demos: Demos, config: FitConfig, split_seed: int, split: dict[str, np.ndarray] | None = None
+) -> _Prepared:
+    split = split or demos.split(split_seed)
     quaternions = find_quaternions(demos.info, config.columns or demos.info.names, config.inputs)
     demos = demos.select(config.columns or demos.info.names)
     check_numbers("the demonstrations' states", demos.states)

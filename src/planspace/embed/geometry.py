@@ -73,14 +73,14 @@ class Geometry:
 
     def missing(self) -> dict[str, str]:
         """The reason for each metric, and for `intervals`, that there is nothing to measure."""
-        one = "one demonstration alone: its length always fits its own distance"
+        one = "one demonstration: the scale C makes its error 0"
         same = one if self.num_demos == 1 else "no demonstration moves"
         reasons: dict[str, str] = {}
         reasons |= dict.fromkeys(("path_error", "path_error_std", "duration_error"), same)
         reasons |= dict.fromkeys(("speed_variation", "midpoint_error"), "z does not move")
         found = {name: reasons[name] for name, value in self.plain().items() if value is None}
         if self.num_demos == 1:
-            found["intervals"] = "one demonstration alone has no spread"
+            found["intervals"] = "one demonstration has no spread"
         return found
 
 

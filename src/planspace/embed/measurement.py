@@ -10,7 +10,9 @@ from jaxtyping import Int
 
 from planspace.demos.dataset import Demos
 from planspace.embed.about import SPLITS
+from planspace.embed.demo_quality import DemoQuality, examine
 from planspace.embed.embedding import Embedding
+from planspace.embed.folds import measure_folds
 from planspace.embed.geometry import (
     Geometry,
     Interval,
@@ -23,6 +25,7 @@ from planspace.embed.geometry import (
 from planspace.embed.inputs import check_numbers
 from planspace.embed.rotations import find_quaternions
 from planspace.embed.true_times import TrueTimes, Truth, check_truth, compare_with_truth, load_truth
+from planspace.embed.verdict import Verdict, judge
 from planspace.errors import PlanspaceError
 from planspace.progress import progress, progress_shown
 from planspace.summary import html_summary, text_summary
@@ -72,22 +75,33 @@ class Measurement:
     """Everything that is measured of an embedding."""
 
     splits: Mapping[str, SplitMeasurement]
-    """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`."""
+    """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`. Also
+    `folds`, if they were asked for."""
     checks: Checks = field(default_factory=Checks)
     true_times: TrueTimes | None = None
     """How well distances predict the shortest times, if those are known."""
+    demonstrations: DemoQuality | None = None
+    """What the demonstrations are like; None if they were not examined."""
+    verdict: Verdict | None = None
+    """The measurement in words; None if there is none."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the measurement as plain data for JSON; what does not apply is left out."""
         checks = {name: value for name, value in asdict(self.checks).items() if value is not None}
-        found = {"splits": {name: part.to_dict() for name, part in self.splits.items()}, "checks": checks}
-        if self.true_times is None:
-            return found
-        times = {
-            subset: {name: asdict(part) for name, part in distances.items()}
-            for subset, distances in self.true_times.items()
+        found: dict[str, Any] = {
+            "splits": {name: part.to_dict() for name, part in self.splits.items()},
+            "checks": checks,
         }
-        return found | {"true_times": times}
+        if self.true_times is not None:
+            found["true_times"] = {
+                subset: {name: asdict(part) for name, part in distances.items()}
+                for subset, distances in self.true_times.items()
+            }
+        if self.demonstrations is not None:
+            found["demonstrations"] = self.demonstrations.to_dict()
+        if self.verdict is not None:
+            found["verdict"] = self.verdict.to_dict()
+        return found
 
     def __repr__(self) -> str:
         """A few lines: the metrics of the last split, and the checks."""
@@ -100,7 +114,7 @@ class Measurement:
         name, part = list(self.splits.items())[-1]
         z, raw = asdict(part.embedding), asdict(part.raw_state)
         rows = {
-            metric.replace("_", " "): f"{z[metric]:.3f} ({raw[metric]:.3f})"
+            metric.replace("_", " "): f"{z[metric]:.3f} ({raw[metric]:.3f})".replace("nan", "n/a")
             for metric in ("straightness", "midpoint_error", "time_correlation", "decoded_error")
         }
         checks = {n.replace("_", " "): f"{v:.3g}" for n, v in self.to_dict()["checks"].items()}
@@ -117,6 +131,7 @@ def measure_embedding(
     demos: Demos,
     *,
     truth: str | Path | Truth | None = None,
+    folds: int = 0,
     verbose: bool = True,
 ) -> Measurement:
     """Measure an embedding on demonstrations.
@@ -126,6 +141,8 @@ def measure_embedding(
         demos: the demonstrations; if it was trained on them, each split is measured separately.
         truth: shortest times, or an .npz with `states` [n, state], `time` [n], and `goals` [n, state] or one
             `goal` [state]; it may have `on_plans` [n]. The columns are those of the demonstrations.
+        folds: number of parts into which the demonstrations are divided, to train again without each part and
+            measure it (see `planspace.embed.folds`); 0 for none. For few demonstrations.
         verbose: show a progress bar.
 
     Raises:
@@ -154,7 +171,13 @@ def measure_embedding(
         for name, part in splits.items():
             measured[name] = _measure_split(embedding, used, part, reference)
             bar.update()
-    return Measurement(measured, checks, times)
+    if folds:
+        with progress_shown(verbose):
+            measured["folds"] = _measure_folds(embedding, demos, used, folds)
+    quality = examine(used)
+    compared = {name: (part.embedding, part.raw_state) for name, part in measured.items()}
+    verdict = judge(compared, quality, asdict(checks), embedding.z_dim)
+    return Measurement(measured, checks, times, quality, verdict)
 
 
 def split_of(embedding: Embedding, demos: Demos) -> dict[str, np.ndarray]:
@@ -210,4 +233,11 @@ def _measure_split(
         bootstrap_intervals(table),
         measure_raw_state(demos, part, reference),
         measure_constant(demos, part),
+    )
+
+
+def _measure_folds(embedding: Embedding, demos: Demos, used: Demos, folds: int) -> SplitMeasurement:
+    found, intervals, episodes = measure_folds(embedding.require_about(), demos, folds)
+    return SplitMeasurement(
+        found, intervals, measure_raw_state(used, episodes, episodes), measure_constant(used, episodes)
     )
