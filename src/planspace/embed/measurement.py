@@ -75,8 +75,8 @@ class Measurement:
     """Everything that is measured of an embedding."""
 
     splits: Mapping[str, SplitMeasurement]
-    """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`. Also
-    `folds`, if they were asked for."""
+    """By split: `train`, `validation` and `test` of the demonstrations it was trained on; otherwise `all`.
+    Also `folds`, if they were asked for."""
     checks: Checks = field(default_factory=Checks)
     true_times: TrueTimes | None = None
     """How well distances predict the shortest times, if those are known."""
