@@ -132,6 +132,11 @@ def test_times_are_converted_to_seconds(header: str, stamps: list, options: dict
     np.testing.assert_allclose(load_demos(tmp_path / "out").times, [0, 0.1, 0.2], atol=3e-7)
 
 
+def test_a_time_that_may_have_another_unit_is_pointed_out(tmp_path: Path) -> None:
+    rows = np.array([[33.0 * i, i**2] for i in range(5)])
+    assert table(tmp_path, "t,x", rows)["t"].endswith("steps of 33 s; --unit t=ms?")
+
+
 def turning_robot(unit: float) -> tuple[np.ndarray, np.ndarray]:
     """Rows of time and wrapped heading with uneven times, and the continuous heading."""
     times = np.cumsum(np.random.default_rng(0).uniform(0.04, 0.16, 80))

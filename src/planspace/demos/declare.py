@@ -98,12 +98,13 @@ def declare_states(
 
 def _check_names(names: Sequence[str], options: ImportOptions, others: Sequence[str]) -> None:
     """Check that the states that options name exist, and that no state is declared twice."""
+    every = list(dict.fromkeys([*names, *others]))
     given = {
         "circular": (options.circular, names),
         "linear": (options.linear, names),
-        "unit": (options.units, (*names, *others)),
-        "drop": (options.drop, (*names, *others)),
-        "keep": (options.keep, (*names, *others)),
+        "unit": (options.units, every),
+        "drop": (options.drop, every),
+        "keep": (options.keep, every),
     }
     for option, (wanted, known) in given.items():
         if wrong := next((name for name in wanted if name not in known), None):

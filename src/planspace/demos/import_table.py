@@ -10,6 +10,8 @@ from planspace.demos.survey import Survey
 from planspace.errors import printable
 
 HEADER = ("column", "kind", "unit", "range", "why")
+SLOW_STEP = 5.0
+"""A robot is rarely recorded in longer steps [s]; the unit of the time may be another."""
 MAX_ROWS = 200
 """Number of columns of the source that are printed."""
 MAX_WIDTH = 40
@@ -48,6 +50,9 @@ def _row(
     kind, unit, found, why = use.kind, use.unit, "", use.note
     if kind == "time":
         found = f"up to {survey.longest:.4g} s"
+        if survey.average_duration > SLOW_STEP:
+            slow = f"steps of {survey.average_duration:.4g} s; --unit {use.name}=ms?"
+            why = "; ".join(filter(None, (why, slow)))
     elif kind == "episode":
         found = f"{num_demos} demonstrations"
     elif kind == "control":

@@ -37,7 +37,7 @@ class Survey:
         """Whether each state is constant within every demonstration."""
         self.least_step = np.full(num_states, np.inf)
         """Shortest step of each state that is not 0."""
-        self._path, self._num_steps = np.zeros(num_states), 0
+        self._path, self._num_steps, self._duration = np.zeros(num_states), 0, 0.0
         self._num_moving = np.zeros(num_states, dtype=int)
         self._step_low = np.full(num_states, np.inf)
         self._step_high = np.full(num_states, -np.inf)
@@ -54,7 +54,8 @@ class Survey:
         if len(controls):
             self.control_low = np.minimum(self.control_low, controls.min(axis=0))
             self.control_high = np.maximum(self.control_high, controls.max(axis=0))
-        self.longest = max(self.longest, float(episode.times[-1] - episode.times[0]))
+        duration = float(episode.times[-1] - episode.times[0])
+        self.longest, self._duration = max(self.longest, duration), self._duration + duration
         if len(self._square_low):
             windows = sliding_window_view(states**2, QUATERNION_SIZE, axis=1).sum(axis=-1)
             self._square_low = np.minimum(self._square_low, windows.min(axis=0))
@@ -77,6 +78,11 @@ class Survey:
     def average_step(self) -> Float[np.ndarray, " state"]:
         """Average length of the steps of each state."""
         return self._path / max(1, self._num_steps)
+
+    @property
+    def average_duration(self) -> float:
+        """Average duration of a step [s]."""
+        return self._duration / max(1, self._num_steps)
 
     @property
     def moving(self) -> Float[np.ndarray, " state"]:
