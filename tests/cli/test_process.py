@@ -41,6 +41,16 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> 
     assert [row["iteration"] for row in rows] == list(range(1, 101))  # none lost, none twice
 
 
+@pytest.mark.skipif(os.name == "nt", reason="POSIX pipes")
+def test_a_reader_that_stops_early_is_no_failure(demo_folder: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)  # as `head` does when it has its lines
+    command = [sys.executable, "-m", "planspace", "demos", "show", str(demo_folder)]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_names_of_strangers_move_no_cursor(
     demo_folder: Path, embedding_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

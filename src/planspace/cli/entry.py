@@ -70,11 +70,12 @@ def _run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     try:
         parse([a for a in arguments if a != "--debug"])()
+        sys.stdout.flush()  # here, where a closed pipe is expected
     except SystemExit as stop:
         return int(stop.code or 0)
     except BrokenPipeError:  # the reader of our output, such as `head`, has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FAILURE
+        return 0
     except KeyboardInterrupt as interrupt:
         print("interrupted; the same command continues from here.", file=sys.stderr)
         return interrupt.exit_code if isinstance(interrupt, Interrupted) else EXIT_INTERRUPTED
