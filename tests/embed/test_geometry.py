@@ -190,13 +190,15 @@ def test_one_demonstration_has_no_path_error_and_no_intervals() -> None:
     assert bootstrap_intervals(table) == {}
 
 
-def test_intervals_of_two_demonstrations_do_not_count_one_drawn_twice() -> None:
-    """Drawn twice, one demonstration fits itself: an error of 0 would be the lower end of the interval."""
-    paths = [np.random.default_rng(i).normal(size=(40, 2)).cumsum(axis=0) for i in range(2)]
-    table = measure_each(lambda x: x, lambda x: x, demos_of(*paths), np.arange(2))
-    g = summarise(table)
-    assert g.missing() == {}
-    assert bootstrap_intervals(table)["path_error"] == pytest.approx((g.path_error, g.path_error))
+def test_two_demonstrations_have_no_interval_of_the_path_error() -> None:
+    """Drawn twice, one demonstration fits itself; both together have one value, an interval of no width."""
+    paths = [np.random.default_rng(i).normal(size=(40, 2)).cumsum(axis=0) for i in range(3)]
+    tables = [measure_each(lambda x: x, lambda x: x, demos_of(*paths[:n]), np.arange(n)) for n in (2, 3)]
+    two, three = map(bootstrap_intervals, tables)
+    assert set(three) - set(two) == {"path_error", "path_error_std", "duration_error"}
+    assert list(summarise(tables[0]).missing()) == ["intervals"]
+    low, high = three["path_error"]
+    assert 0 < low < high  # draws of one demonstration three times do not count: their error would be 0
 
 
 def test_the_midpoint_error_of_a_path_that_returns_is_bounded() -> None:

@@ -31,6 +31,8 @@ MIN_STD_FRACTION, STD_ROWS = 0.01, 2000
 about so many states are looked at."""
 ACTIVE_FRACTION = 0.01
 """A dimension of z has collapsed if its variance is below this fraction of the mean over dimensions."""
+SCALED = ("path_error", "path_error_std", "duration_error")
+"""Metrics of a scale that is fitted to the demonstrations."""
 CONFIDENCE, BOOTSTRAP_DRAWS = 0.95, 1000
 
 Map = Callable[[np.ndarray], np.ndarray]
@@ -76,11 +78,15 @@ class Geometry:
         one = "one demonstration: the scale C makes its error 0"
         same = one if self.num_demos == 1 else "no demonstration moves"
         reasons: dict[str, str] = {}
-        reasons |= dict.fromkeys(("path_error", "path_error_std", "duration_error"), same)
+        reasons |= dict.fromkeys(SCALED, same)
         reasons |= dict.fromkeys(("speed_variation", "midpoint_error"), "z does not move")
         found = {name: reasons[name] for name, value in self.plain().items() if value is None}
         if self.num_demos == 1:
             found["intervals"] = "one demonstration has no spread"
+        if self.num_demos == 2:
+            found["intervals of path_error, path_error_std, duration_error"] = (
+                "two demonstrations have one error"
+            )
         return found
 
 
@@ -211,7 +217,8 @@ def summarise(table: DemoMetrics) -> Geometry:
 def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Interval]:
     """Compute a 95 % percentile interval of each metric by drawing demonstrations with replacement.
 
-    One demonstration has no intervals. A metric that cannot be measured has none either.
+    One demonstration has no intervals. A metric that cannot be measured has none either, nor have errors of
+    `scaled_errors` of two demonstrations, which have one value.
     """
     rng, count = np.random.default_rng(seed), len(table.chord)
     if count < 2:
@@ -224,7 +231,7 @@ def bootstrap_intervals(table: DemoMetrics, *, seed: int = 0) -> dict[str, Inter
     tail, found = (1 - CONFIDENCE) / 2, {}
     for name in (f.name for f in fields(Geometry) if f.name != "num_demos"):
         known = [draw[name] for draw in draws if not np.isnan(draw[name])]
-        if known:
+        if known and not (count == 2 and name in SCALED):
             low, high = np.quantile(known, [tail, 1 - tail])
             found[name] = (float(low), float(high))
     return found
