@@ -84,9 +84,7 @@ class Geometry:
         if self.num_demos == 1:
             found["intervals"] = "one demonstration has no spread"
         if self.num_demos == 2:
-            found["intervals of path_error, path_error_std, duration_error"] = (
-                "two demonstrations have one error"
-            )
+            found["intervals"] = "two demonstrations have one path error and one duration error"
         return found
 
 
