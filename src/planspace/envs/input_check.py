@@ -74,6 +74,8 @@ class InputCheck:
         outside = ((states < low) | (states > high)).mean(axis=0)
         if inputs.form == "trig":
             outside[list(inputs.circular_columns)] = 0.0
+            for columns in inputs.quaternions:  # both signs are the same rotation
+                outside[list(columns)] = 0.0
         column = int(np.argmax(outside))
         if not outside[column]:
             return ""
