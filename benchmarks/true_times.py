@@ -258,12 +258,10 @@ def build(options: argparse.Namespace) -> None:
         print(f"part {k}: {len(part['time'])} pairs, {part['seconds']:.0f} s", flush=True)
     found = [dict(np.load(path)) for path in sorted(parts.glob("part-*.npz"))]
     off = {name: np.concatenate([part[name] for part in found]) for name in ("states", "goals", "time")}
-    compare(found, method == "grid")
-    if method == "plans":
+    compare(found, on_grid)
+    if options.from_box:
         np.savez_compressed(options.out, **off)
-        print(
-            f"{options.out}: {len(off['time'])} of {per_goal * options.goals} pairs, {seconds(found):.0f} s"
-        )
+        print(f"{options.out}: {len(off['time'])} pairs, {seconds(found):.0f} s")
         return
     demos = load_demos(options.plans)
     paths = [demos.episode(i).states for i in range(len(demos))]

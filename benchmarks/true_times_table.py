@@ -21,11 +21,11 @@ COLUMNS = ("problem", "subset", "distance", "num_pairs", "rank_correlation", "re
 HEADER = "| problem | pairs | distance | number | rank correlation | relative error |"
 
 
-def add(embedding: Path, demos: Path, truth: Path) -> None:
-    """Measure one embedding, and put its rows in the place of older ones of that problem."""
+def add(embedding: Path, demos: Path, truth: Path, label: str) -> None:
+    """Measure one embedding, and put its rows in the place of older ones with the same name."""
     loaded = load_demos(demos)
     found = measure_embedding(load_embedding(embedding), loaded, truth=truth, verbose=False).to_dict()
-    problem = str(loaded.info.problem)
+    problem = label or str(loaded.info.problem)
     rows = [row for row in read_rows(FILE) if row["problem"] != problem]
     for subset, distances in found["true_times"].items():
         for distance, values in distances.items():
@@ -38,8 +38,9 @@ def add(embedding: Path, demos: Path, truth: Path) -> None:
 def table(rows: list[Row]) -> list[str]:
     """Lines of the table of docs/embeddings.md."""
     lines = [HEADER, "|---|---|---|---|---|---|"]
+    split = {row["problem"] for row in rows if row["subset"] != "all"}
     for row in rows:
-        if row["subset"] != "all":
+        if row["subset"] != "all" or row["problem"] not in split:
             numbers = [f"{float(row[name]):.2f}" for name in ("rank_correlation", "relative_error")]
             cells = [row["problem"], row["subset"], row["distance"], row["num_pairs"], *numbers]
             lines.append(f"| {' | '.join(cells)} |".replace("_", " "))
@@ -52,10 +53,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("paths", type=Path, nargs="*", help="EMBEDDING DEMOS TRUTH")
-    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--label", default="", help="name of the rows (default: the problem)")
+    parser.add_argument("--table", action="store_true", help="only print the table")
     options = parser.parse_args()
     if not options.table:
-        add(*options.paths)
+        add(*options.paths, options.label)
     print("\n".join(table(read_rows(FILE))))
 
 
