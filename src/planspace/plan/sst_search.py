@@ -138,19 +138,19 @@ class SSTSearch:
         greedy = self.config.greedy or (BY_METRIC if self.metric else 0.0)
         if num := round(greedy * len(parents)):
             nodes = tree.representatives()
-            order = nodes[np.argsort(self._distances(tree)[nodes], kind="stable")]
+            order = nodes[np.argsort(self._distances(tree, nodes), kind="stable")]
             ranks = len(order) * self.rng.random(num) ** GREED
             parents[-num:] = order[ranks.astype(int)]
         return parents
 
-    def _distances(self, tree: Tree) -> np.ndarray:
-        """Distance of every node to the goal: by the metric, or in the goal's measure."""
+    def _distances(self, tree: Tree, nodes: np.ndarray) -> np.ndarray:
+        """Distance of some nodes to the goal: by the metric, asked once each, or in the goal's measure."""
         if self.metric is None:
-            return self.goal.distance(tree.states)
+            return self.goal.distance(tree.states[nodes])
         new = tree.states[len(self.to_goal) :]
         found = checked_distances(self.metric, new, self.goal.nearest(new))
         self.to_goal = np.concatenate([self.to_goal, found])
-        return self.to_goal
+        return self.to_goal[nodes]
 
     def _extend(self, tree: Tree, parents: np.ndarray, edges: Edges) -> list[np.ndarray]:
         """Simulate the edges and add their ends to the tree; return the numbers of the new nodes."""

@@ -114,6 +114,30 @@ def explain_read(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def explain_library_read(path: Path, kind: str, longest: int | None = None) -> Iterator[None]:
+    """Turn what a library raises while it reads a file into an error of one line that names the file.
+
+    Args:
+        path: the file.
+        kind: its format, for the message.
+        longest: number of characters of the library's message to keep; all by default.
+
+    Raises:
+        PlanspaceError: the file cannot be read, or it is damaged.
+    """
+    try:
+        with explain_read(path):
+            yield
+    except PlanspaceError as error:
+        if isinstance(error.__cause__, OSError):  # the message of a library can have several lines
+            raise PlanspaceError(" ".join(str(error).split())) from error
+        raise
+    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, ArithmeticError) as error:
+        text = " ".join(str(error).split())[:longest] or type(error).__name__
+        raise PlanspaceError(f"{path} is not a readable {kind} file ({text}).") from error
+
+
+@contextlib.contextmanager
 def explain_write(path: Path) -> Iterator[None]:
     """Turn an OSError while writing into an error that names the file.
 

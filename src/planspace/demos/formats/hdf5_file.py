@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from planspace.errors import PlanspaceError, quoted
-from planspace.storage.checks import MAX_BYTES, MAX_JSON_BYTES, check_file, explain_read
+from planspace.storage.checks import MAX_BYTES, MAX_JSON_BYTES, check_file, explain_library_read
 
 MAX_EXPANSION = 1032
 """Most bytes that one byte of deflate expands to: 258 bytes for two bits. Other filters of HDF5 give less."""
@@ -58,17 +58,9 @@ def open_hdf5(file: Path) -> Iterator[Any]:
     """
     h5py = hdf5_module()
     check_file(file, may_be_link=True)
-    try:
-        with explain_read(file), h5py.File(file, "r") as opened:
-            check_references(opened, file)
-            yield opened
-    except PlanspaceError as error:
-        if isinstance(error.__cause__, OSError):  # the message of HDF5 can have several lines
-            raise PlanspaceError(" ".join(str(error).split())) from error
-        raise
-    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, ArithmeticError) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise PlanspaceError(f"{file} is not a readable HDF5 file ({text}).") from error
+    with explain_library_read(file, "HDF5"), h5py.File(file, "r") as opened:
+        check_references(opened, file)
+        yield opened
 
 
 def check_references(

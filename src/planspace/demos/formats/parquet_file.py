@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from planspace.errors import PlanspaceError, quoted
-from planspace.storage.checks import MAX_BYTES, check_file, explain_read
+from planspace.storage.checks import MAX_BYTES, check_file, explain_library_read
 
 MAX_EXPANSION = 1032
 """Most bytes of numbers that one byte of a file may expand to; the numbers of the rows of a recording differ,
@@ -59,20 +59,12 @@ def open_parquet(file: Path, *, may_be_link: bool = False) -> Iterator[Any]:
     """
     parquet = parquet_module()
     check_file(file, may_be_link=may_be_link)
-    try:
-        with explain_read(file), open(file, "rb") as source:
-            opened = parquet.ParquetFile(
-                source, thrift_string_size_limit=TEXT_BYTES, memory_map=False, pre_buffer=False
-            )
-            _check_metadata(opened.metadata, file)
-            yield opened
-    except PlanspaceError as error:
-        if isinstance(error.__cause__, OSError):  # the message of Arrow can have several lines
-            raise PlanspaceError(" ".join(str(error).split())) from error
-        raise
-    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, ArithmeticError) as error:
-        text = " ".join(str(error).split())[:200] or type(error).__name__
-        raise PlanspaceError(f"{file} is not a readable Parquet file ({text}).") from error
+    with explain_library_read(file, "Parquet", longest=200), open(file, "rb") as source:
+        opened = parquet.ParquetFile(
+            source, thrift_string_size_limit=TEXT_BYTES, memory_map=False, pre_buffer=False
+        )
+        _check_metadata(opened.metadata, file)
+        yield opened
 
 
 def read_batches(
