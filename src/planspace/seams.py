@@ -20,6 +20,8 @@ from planspace.errors import UsageError, did_you_mean, quoted, unknown
 Seam = TypeVar("Seam")
 UNSET_IF_NONE = {"unset": None}
 """The metadata of a dataclass field that `plain_settings` leaves out if it is None."""
+UNSET_IF_ZERO = {"unset": 0.0}
+"""The metadata of a dataclass field that `plain_settings` leaves out if it is 0."""
 
 
 def load_object(where: str) -> Any:
@@ -140,7 +142,7 @@ def _fields(given: Any) -> tuple[Field[Any], ...]:
 
 
 def _is_unset(f: Field[Any], owner: Any) -> bool:
-    return bool(f.metadata.keys() & UNSET_IF_NONE) and getattr(owner, f.name) is None
+    return "unset" in f.metadata and getattr(owner, f.name) == f.metadata["unset"]
 
 
 def plain_settings(value: Any) -> Any:
@@ -148,7 +150,7 @@ def plain_settings(value: Any) -> Any:
 
     Dataclasses become mappings of their fields. A seam object also records its `name`, and one that is not
     shipped records the SHA-256 of its source, so that changed code is a changed setting. A field with
-    `UNSET_IF_NONE` is left out if it is None, as in files of versions that did not have it.
+    `UNSET_IF_NONE` or `UNSET_IF_ZERO` is left out at that value, as in files of versions without the field.
     """
     if is_dataclass(value) and not isinstance(value, type):
         given = {f.name: getattr(value, f.name) for f in fields(value) if not _is_unset(f, value)}

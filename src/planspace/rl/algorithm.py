@@ -44,6 +44,9 @@ class Algorithm(Protocol):
     An implementation is a frozen dataclass whose fields are its hyper-parameters. Its state is any JAX tree
     (nested tuples, dicts, `equinox` modules) of arrays, one tree per seed. Every array keeps its shape and
     type during training and holds finite numbers only.
+
+    An algorithm with the class attribute `replays = True` takes the fraction `arm.config.replay` of each
+    minibatch from `arm.plan_transitions`, if it is not None. Training refuses `replay` for any other one.
     """
 
     def init(self, arm: Arm, *, key: Key) -> Any:

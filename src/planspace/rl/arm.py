@@ -10,6 +10,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.rollout import ActFn, Rollout, collect
 from planspace.rl.shaping import Shaping
+from planspace.rl.transitions import Transitions
 from planspace.tasks.gymnasium import AnyTask
 
 
@@ -25,6 +26,8 @@ class Arm:
     """The environments, seed by seed, the same number for each seed."""
     shaping: Shaping | None = None
     """The shaping reward, if there is any."""
+    plan_transitions: Transitions | None = None
+    """Transitions along plans, the same for each seed; None unless `config.replay` is above 0."""
 
     @property
     def task(self) -> AnyTask:

@@ -9,8 +9,24 @@ import numpy as np
 from planspace.errors import UsageError, quoted
 from planspace.rl.algorithm import HOW_TO
 from planspace.rl.arm import Arm
+from planspace.rl.config import TrainConfig
 from planspace.rl.policy_network import PolicyNetwork
 from planspace.rl.rollout import Rollout
+from planspace.seams import name_of
+
+
+def check_replay(config: TrainConfig) -> None:
+    """Check that the algorithm can use transitions along plans, if it is to.
+
+    Raises:
+        UsageError: `replay` is above 0, but the algorithm does not have the class attribute `replays = True`.
+    """
+    if config.replay and not getattr(config.algorithm, "replays", False):
+        raise UsageError(
+            f"--replay {config.replay:g} needs an algorithm with a replay buffer, but "
+            f"{name_of(config.algorithm)} has none: leave out --replay, or use --resets. An algorithm of "
+            f"your own says `replays = True`; see {HOW_TO}."
+        )
 
 
 def checked_state(state: Any) -> Any:

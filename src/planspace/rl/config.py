@@ -1,7 +1,7 @@
 """Settings of a training run. Imports no JAX, so that `--help` answers at once."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import arg
@@ -9,7 +9,7 @@ from tyro.conf import arg
 from planspace.errors import UsageError, check_setting, unknown
 from planspace.rl.algorithm import HOW_TO, Algorithm
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.seams import check_fits, with_settings
+from planspace.seams import UNSET_IF_ZERO, check_fits, with_settings
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
@@ -41,6 +41,9 @@ class TrainConfig:
     returns leave it out."""
     shaping_scale: float = 10.0
     """Shaping return from a mean start to the goal."""
+    replay: float = field(default=0.0, metadata=UNSET_IF_ZERO)
+    """Fraction of each minibatch that consists of transitions along plans; for algorithms with a replay
+    buffer."""
     num_seeds: Annotated[int, arg(aliases=("--seeds",))] = 5
     """Number of seeds."""
     seed: int = 0
@@ -74,6 +77,7 @@ class TrainConfig:
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
         scale = self.shaping_scale
         check_setting("shaping_scale", scale, 0 < scale < math.inf, "above 0 and finite")
+        check_setting("replay", self.replay, 0 <= self.replay <= 1, "between 0 and 1")
         for least, names in enumerate((("seed", "eval_every"), ("num_seeds", "steps", "batch_steps"))):
             for name in names:
                 check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")

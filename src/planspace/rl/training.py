@@ -21,6 +21,7 @@ from planspace.rl.algorithms import find_algorithm
 from planspace.rl.arm import Arm
 from planspace.rl.checks import (
     all_finite,
+    check_replay,
     checked_names,
     checked_network,
     checked_rollout,
@@ -115,6 +116,7 @@ def train_policies(
     """
     task = find_training_task(task)
     config = _with_algorithm(config or TrainConfig(), algorithm)
+    check_replay(config)
     find_name(f"reward type of {task.name}", config.reward, task.reward_types)
     find_name(f"observation type of {task.name}", config.obs, task.obs_types)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
