@@ -80,6 +80,27 @@ def test_side_by_side_the_shorter_one_waits_at_its_end(opengl: str, tmp_path: Pa
     assert left > 0.65 and right < 0.35  # the one on the left ends at the right, the other at the left
 
 
+def test_the_last_pose_stays_for_the_pause(opengl: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    render_demos(moving_cart(), tmp_path / "film.gif", replace(SMALL, episodes=1, pause_s=1.5))
+    with Image.open(tmp_path / "film.gif") as film:
+        film.seek(film.n_frames - 1)
+        assert film.info["duration"] >= 1500
+
+
+def test_a_fitted_camera_shows_the_robot_larger_than_the_models_own(opengl: str, tmp_path: Path) -> None:
+    from PIL import Image
+
+    def blue_pixels(camera: str) -> int:
+        render_demos(moving_cart(), tmp_path / "film.gif", replace(SMALL, episodes=1, camera=camera))
+        with Image.open(tmp_path / "film.gif") as film:
+            picture = np.asarray(film.convert("RGB")).astype(int)
+        return int((picture[..., 2] - picture[..., 0] > 40).sum())
+
+    assert blue_pixels("fit") > 1.2 * blue_pixels("side")
+
+
 def test_an_mp4(opengl: str, tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     render_demos(moving_cart(), tmp_path / "film.mp4", SMALL)
@@ -107,6 +128,7 @@ def test_a_model_without_a_camera_gets_a_free_camera(opengl: str, tmp_path: Path
         ("film.gif", {"camera": "sied"}, "unknown camera 'sied'. Did you mean 'side'"),
         ("film.gif", {"fps": 0}, "must be at least 1"),
         ("film.gif", {"fps": 101}, "must be at most 100"),
+        ("film.gif", {"pause_s": -1.0}, "`pause_s` must be at least 0"),
     ],
 )
 def test_invalid_settings_are_refused(file: str, change: dict, message: str, tmp_path: Path) -> None:

@@ -87,7 +87,10 @@ class Render:
     height: Annotated[int, arg(metavar="PIXELS")] = 360
     """Height of a frame."""
     camera: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the model's first)")] = ""
-    """A camera of the model. A model without cameras is shown as a whole."""
+    """A camera of the model, or fit: a camera that is fitted to the whole motion. A model without cameras
+    uses fit."""
+    pause_s: Annotated[float, arg(metavar="S")] = 0.0
+    """How long the last pose of each demonstration stays [s]."""
     untrusted: Untrusted = False
 
     def __call__(self) -> None:
@@ -96,7 +99,7 @@ class Render:
         from planspace.demos.render import FilmConfig, render_demos
         from planspace.mjcf.subprocess_model import check_compiles
 
-        config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera)
+        config = FilmConfig(self.episodes, self.fps, self.width, self.height, self.camera, self.pause_s)
         demos = load_demos(self.folder)
         if self.untrusted:
             check_compiles(demos.info.source or "")

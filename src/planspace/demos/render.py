@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,12 +17,14 @@ from jaxtyping import Float, UInt8
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.framing import Frame, has_plane, light_from_camera
-from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.errors import PlanspaceError, UsageError, check_setting, unknown
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.progress import progress
 from planspace.storage.files import write_bytes
 
 SUFFIXES = (".gif", ".mp4")
+FIT = "fit"
+"""The camera that is fitted to the whole motion."""
 BACKENDS = ("egl", "osmesa", "glfw", "cgl")
 Image = UInt8[np.ndarray, "height width 3"]
 Encoder = Callable[[Iterator[Image], "FilmConfig"], bytes]
@@ -40,8 +43,10 @@ class FilmConfig:
     height: int = 360
     """Height of a frame [pixels]."""
     camera: str = ""
-    """Name of a camera. By default the first camera of the model; without any, one that sees the whole
-    motion."""
+    """Name of a camera, or `fit` for one that is fitted to the whole motion. By default the first camera of
+    the model; `fit` for a model without any."""
+    pause_s: float = 0.0
+    """How long the last pose of each demonstration stays [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -49,6 +54,7 @@ class FilmConfig:
             raise UsageError("--episodes, --fps, --width and --height must be at least 1.")
         if self.fps > 100:
             raise UsageError(f"--fps must be at most 100, the limit of GIF, got {self.fps}.")
+        check_setting("pause_s", self.pause_s, 0 <= self.pause_s < math.inf, "at least 0 and finite")
 
 
 def render_demos(demos: Demos, file: Path, config: FilmConfig) -> None:
@@ -86,7 +92,10 @@ def _render(columns: Sequence[Demos], titles: Sequence[str], file: Path, config:
     _find_encoder(file, whole)
     model, space = columns[0].info.compile()
     num = min(config.episodes, *(len(demos) for demos in columns))
-    rows = [_equally_long([_poses(demos.episode(i), config.fps) for demos in columns]) for i in range(num)]
+    pause = round(config.pause_s * config.fps)
+    rows = [
+        _equally_long([_poses(demos.episode(i), config.fps) for demos in columns], pause) for i in range(num)
+    ]
     poses = [space.normalise(np.concatenate(column)) for column in zip(*rows, strict=True)]
     frame = Frame.of_motion(model, space, np.concatenate(poses))
     with _camera(model, config, frame) as shoot, progress("render", len(poses[0]), unit="frame") as bar:
@@ -105,9 +114,9 @@ def _render(columns: Sequence[Demos], titles: Sequence[str], file: Path, config:
         write_film(file, frames(), whole)
 
 
-def _equally_long(parts: list[np.ndarray]) -> list[np.ndarray]:
-    """The poses of each column; those of a shorter one end with its last pose, again and again."""
-    longest = max(len(part) for part in parts)
+def _equally_long(parts: list[np.ndarray], pause: int) -> list[np.ndarray]:
+    """The poses of each column; the last pose stays until the longest has ended, and `pause` frames more."""
+    longest = max(len(part) for part in parts) + pause
     return [np.concatenate([part, part[-1:].repeat(longest - len(part), axis=0)]) for part in parts]
 
 
@@ -219,13 +228,13 @@ def _context_class(backend: str) -> Any:
 def _view(model: mujoco.MjModel, config: FilmConfig, frame: Frame) -> mujoco.MjvCamera:
     name = config.camera
     names = [model.camera(i).name for i in range(model.ncam)]
-    if name and name not in names:
+    if name and name not in (*names, FIT):
         raise (
-            unknown("camera", name, names)
+            unknown("camera", name, [*names, FIT])
             if names
             else UsageError("the model has no camera; leave out --camera.")
         )
-    if not names:
+    if name == FIT or not names:
         return frame.camera(model, config.width / config.height)
     view = mujoco.MjvCamera()
     view.type = mujoco.mjtCamera.mjCAMERA_FIXED

@@ -60,7 +60,7 @@ def write_control_report(
     if plans is not None and plans.info.names != episodes.info.names:
         raise UsageError("the plans have other states than the episodes: give plans of the same problem.")
     if film and not (out / FILM).exists():
-        _film(episodes, plans, out / FILM)
+        film_beside_plans(episodes, plans, out / FILM)
     few = _chosen(episodes, range(min(len(episodes), DRAWN)))
     some = None if plans is None else _chosen(plans, range(min(len(plans), DRAWN)))
     figures = {"paths": "", "distance": ""}
@@ -81,19 +81,29 @@ def write_control_report(
     )
 
 
-def _film(episodes: Demos, plans: Demos | None, file: Path) -> None:
-    """Film the first episodes, each beside the plan whose start is nearest."""
+def film_beside_plans(episodes: Demos, plans: Demos | None, file: Path, config: FilmConfig = FILMED) -> None:
+    """Film the first episodes, each beside the plan whose start is nearest.
+
+    Args:
+        episodes: what a controller did.
+        plans: plans of the same problem; None films the episodes without plans.
+        file: the GIF or MP4 file to write.
+        config: the settings; width and height are those of one picture.
+
+    Raises:
+        PlanspaceError: the file cannot be written, or the robot cannot be drawn.
+    """
     if plans is None:
-        render_demos(episodes, file, FILMED)
+        render_demos(episodes, file, config)
         return
     starts = np.stack([plans.episode(i).states[0] for i in range(len(plans))])
     scale = starts.std(axis=0) + 1e-9
-    shown = range(min(FILMED.episodes, len(episodes)))
+    shown = range(min(config.episodes, len(episodes)))
     nearest = [
         int(np.argmin(np.abs((starts - episodes.episode(i).states[0]) / scale).sum(axis=1))) for i in shown
     ]
     columns = {"plan": _chosen(plans, nearest), "controller": episodes}
-    render_side_by_side(columns, file, FILMED)
+    render_side_by_side(columns, file, config)
 
 
 def _chosen(demos: Demos, numbers: Iterable[int]) -> Demos:
