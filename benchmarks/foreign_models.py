@@ -86,7 +86,9 @@ def table(rows: list[dict[str, str]]) -> str:
 def measure(name: str, problem: Foreign, models: Path, num: int) -> dict[str, str]:
     """Plan for one problem and replay the demonstrations."""
     path = write_problem(name, problem, models)
-    settings = "; ".join(f"{key}: {value}".lower() for key, value in problem.more)
+    settings = "; ".join(
+        key if isinstance(value, dict) else f"{key}: {value}".lower() for key, value in problem.more
+    )
     row = {"problem": name, "model": problem.model, "distance": problem.why, "settings": settings}
     began = time.perf_counter()
     try:
@@ -145,7 +147,7 @@ def write_problem(name: str, problem: Foreign, models: Path) -> Path:
         content["goal_weights"] = [float(joint in counted) for joint in joints] + [0.0] * len(joints)
     bounds = {j: {"low": [-5.0], "high": [5.0]} for j in joints if j in UNLIMITED_SLIDES}
     if bounds:
-        content["position_bounds"] = bounds
+        content.setdefault("position_bounds", bounds)
     path = folder / f"{name}.yaml"
     path.write_text(yaml.safe_dump(content))
     return path

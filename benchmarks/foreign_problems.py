@@ -64,6 +64,26 @@ PROBLEMS = {
         "hinge",
         (("hold", False),),
     ),
+    "dmc-ball-in-cup": Foreign(
+        f"{SUITE}/ball_in_cup.xml",
+        "cup_x cup_z ball_x ball_z",
+        (0.0, 0.0, 0.0, -0.008),
+        (0.0, 0.0, 0.0, 0.333),
+        "the hanging ball into the cup, its own task",
+        weights="cup_x cup_z ball_x ball_z",
+        more=(
+            ("hold", False),
+            (
+                "position_bounds",
+                {
+                    "cup_x": {"low": [-0.3], "high": [0.3]},
+                    "cup_z": {"low": [-0.3], "high": [0.3]},
+                    "ball_x": {"low": [-0.5], "high": [0.5]},
+                    "ball_z": {"low": [-0.3], "high": [0.7]},
+                },
+            ),
+        ),
+    ),
     "dmc-hopper-ahead": Foreign(
         f"{SUITE}/hopper.xml",
         "rootx rootz rooty waist hip knee ankle",
