@@ -1,27 +1,200 @@
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from planspace.errors import UsageError
+from planspace.cli import main
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.embed.embedding import Embedding
+from planspace.envs.episodes import TaskEpisodes
+from planspace.envs.task import TaskEnv
+from planspace.errors import PlanspaceError, UsageError
+from planspace.rl import arm, training
+from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.plans import Plans, average_controls
+from planspace.rl.rollout import Rollout, collect
 from planspace.rl.training import train_policies
 from planspace.seams import plain_settings
+from planspace.tasks.catalog import TASKS
 
 TASK = "cartpole-swingup"
+QUICK = TrainConfig(num_seeds=1, steps=800, batch_steps=400, resets=0.5)
 
 
-def test_an_algorithm_without_a_replay_buffer_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"--replay 0.5 needs an algorithm with a replay buffer, but trpo"):
-        train_policies(TASK, TrainConfig(replay=0.5))
+class Replaying(TRPO):
+    """TRPO that says that it has a replay buffer."""
+
+    replays = True
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.1, float("nan")])
-def test_a_fraction_outside_0_to_1_is_refused(fraction: float) -> None:
-    with pytest.raises(UsageError, match="`replay` must be between 0 and 1"):
-        TrainConfig(replay=fraction)
+def plans_of(config: TrainConfig, demos: Demos, task: str = TASK) -> Plans:
+    found = Plans.of(config, Observer(TASKS[task], config.obs, "none", "both"), demos)
+    assert found is not None
+    return found
+
+
+def recorder(rollouts: list[Rollout]) -> Any:
+    """`collect` that also appends its rollout to a list."""
+
+    def recorded(*args: Any, **kwargs: Any) -> Rollout:
+        rollouts.append(collect(*args, **kwargs))
+        return rollouts[-1]
+
+    return recorded
+
+
+def starts_of(rollouts: list[Rollout]) -> np.ndarray:
+    return np.concatenate([rollout.obs[rollout.step == 0] for rollout in rollouts])
+
+
+@pytest.mark.slow
+def test_training_starts_at_plans_and_evaluation_does_not(
+    demos: Demos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: dict[Any, list[Rollout]] = {arm: [], training: []}
+    for module, rollouts in played.items():
+        monkeypatch.setattr(module, "collect", recorder(rollouts))
+    # `cartpole` ends an episode beyond 0.2 rad, so that episodes also start within an iteration
+    train_policies("cartpole", replace(QUICK, resets=1.0), plans=demos)
+    known = demos.states.astype(np.float32)
+    known = known[np.abs(known[:, 1]) <= 0.2]
+    starts = starts_of(played[arm])
+    assert len(starts) > 8 and (starts[:, None] == known).all(axis=2).any(axis=1).all()
+    assert len(np.unique(starts, axis=0)) > 4
+    assert (np.abs(starts_of(played[training])) <= 0.01).all()
+
+
+def test_half_of_the_starts_are_from_plans_and_the_others_as_without_plans(demos: Demos) -> None:
+    own = TaskEpisodes(TASKS[TASK], 400)
+    own.reset([np.random.default_rng(0)])
+    usual = own.states.copy()
+    plans_of(QUICK, demos).episodes(own).reset([np.random.default_rng(0)])
+    changed = (own.states != usual).any(axis=1)
+    assert 150 < changed.sum() < 250
+    assert (own.states[changed][:, None] == demos.states).all(axis=2).any(axis=1).all()
+
+
+@pytest.mark.slow
+def test_a_seed_does_not_depend_on_the_others(demos: Demos) -> None:
+    together = train_policies(TASK, replace(QUICK, num_seeds=3), plans=demos).history
+    alone = train_policies(TASK, replace(QUICK, seed=1), plans=demos).history
+    for name in ("return", "eval_return", "kl"):
+        np.testing.assert_array_equal(together[name][:, 1], alone[name][:, 0])
+    without = train_policies(TASK, replace(QUICK, seed=1, resets=0.0)).history
+    assert (without["return"] != alone["return"]).any()
+
+
+def test_without_resets_the_environments_are_those_of_earlier_versions(demos: Demos) -> None:
+    own = TaskEpisodes(TASKS[TASK], 2)
+    config = replace(QUICK, algorithm=Replaying(), resets=0.0, replay=0.5)
+    assert plans_of(config, demos).episodes(own) is own
+    assert plans_of(QUICK, demos).transitions() is None
+
+
+@pytest.mark.parametrize("reward", ["dense", "sparse"])
+def test_transitions_are_steps_of_the_task(demos: Demos, reward: Any) -> None:
+    config = TrainConfig(Replaying(), obs="trig", reward=reward, replay=0.5)
+    found = plans_of(config, demos).transitions()
+    assert found is not None
+    env, row = TaskEnv(TASK, obs="trig", reward=reward), 0
+    for i in range(len(demos)):
+        plan = demos.episode(i)
+        for k in range(len(plan.controls) - 1):  # a step of the task lasts two of the plan
+            if k in (0, len(plan.controls) - 2):
+                obs, _ = env.reset(options={"state": plan.states[k]})
+                np.testing.assert_array_equal(found.obs[row], obs)
+                mean = plan.controls[k : k + 2].mean(axis=0)
+                np.testing.assert_allclose(found.actions[row], mean, rtol=1e-5, atol=1e-6)
+                obs, paid, terminated, _, _ = env.step(found.actions[row])
+                np.testing.assert_array_equal(found.next_obs[row], obs)
+                assert (found.rewards[row], found.terminated[row]) == (paid, terminated)
+            row += 1
+    assert row == len(found.obs)
+
+
+def test_controls_are_averaged_over_the_step_whatever_the_times() -> None:
+    times, controls = np.array([0.0, 0.1, 0.4, 0.5]), np.array([[1.0], [2.0], [4.0]])
+    plan = Episode(np.zeros((4, 2)), controls, times, np.zeros(2), True, 0, 0)
+    found = average_controls(plan, 0.2)
+    np.testing.assert_allclose(found, [[1.5], [2.0]])  # the others have less than 0.2 s left
+    np.testing.assert_allclose(average_controls(plan, 0.1 * (1 + 1e-9)), [[1.0], [2.0], [4.0]], rtol=1e-6)
+
+
+def test_steps_from_where_an_episode_would_have_ended_are_left_out(demos: Demos) -> None:
+    config = TrainConfig(Replaying(), replay=0.5)
+    found = plans_of(config, demos, "cartpole").transitions()
+    assert found is not None
+    assert (np.abs(found.obs[:, 1]) <= 0.2).all() and found.terminated.any()
+
+
+def test_a_run_is_continued_only_with_the_same_plans(demos: Demos, tmp_path: Path) -> None:
+    first = train_policies(TASK, QUICK, plans=demos, out=tmp_path).history
+    again = train_policies(TASK, QUICK, plans=demos, out=tmp_path).history
+    np.testing.assert_array_equal(first["return"], again["return"])
+    fewer = Demos.from_episodes(demos.info, [demos.episode(0)])
+    with pytest.raises(PlanspaceError, match="plans was '.*', now '.*'"):
+        train_policies(TASK, QUICK, plans=fewer, out=tmp_path)
+    with pytest.raises(PlanspaceError, match="resets was 0.5, now 0.25"):
+        train_policies(TASK, replace(QUICK, resets=0.25), plans=demos, out=tmp_path)
 
 
 def test_settings_without_plans_are_saved_as_in_earlier_versions() -> None:
-    config = TrainConfig()
-    assert "replay" not in plain_settings(config)
-    assert plain_settings(replace(config, replay=0.5))["replay"] == 0.5
+    saved = plain_settings(TrainConfig())
+    assert "replay" not in saved and "resets" not in saved
+    assert plain_settings(QUICK)["resets"] == 0.5
+
+
+@pytest.mark.parametrize("name", ["resets", "replay"])
+@pytest.mark.parametrize("fraction", [-0.1, 1.1, float("nan")])
+def test_a_fraction_outside_0_to_1_is_refused(name: str, fraction: float) -> None:
+    with pytest.raises(UsageError, match=f"`{name}` must be between 0 and 1"):
+        TrainConfig(**{name: fraction})
+
+
+REPLAY = replace(QUICK, algorithm=Replaying(), resets=0.0, replay=0.5)
+REFUSED: dict[str, tuple[str, TrainConfig, str]] = {
+    "no buffer": (TASK, replace(QUICK, replay=0.5), "--replay 0.5 needs an algorithm with a replay buffer"),
+    "unused": (TASK, replace(QUICK, resets=0.0), "plans were given, but nothing uses them"),
+    "joints": ("pendulum-swingup", QUICK, r"the plans have the states \(slider, hinge, .* the same joints"),
+    "gymnasium": ("gym:InvertedPendulum-v5", QUICK, "cannot do in gym:InvertedPendulum-v5: leave it out"),
+    "shaping": (TASK, replace(REPLAY, shaping="raw"), "leave out --shaping, or use --resets"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_does_not_fit_is_refused(case: str, demos: Demos) -> None:
+    task, config, message = REFUSED[case]
+    with pytest.raises(UsageError, match=message):
+        train_policies(task, config, plans=demos)
+
+
+def test_plans_that_lack_something_are_refused(demos: Demos, embedding: Embedding) -> None:
+    assert demos.info.source is not None
+    heavier = replace(demos.info.source, text=demos.info.source.text.replace('mass="', 'mass="1'))
+    with pytest.raises(UsageError, match="made with another model than that of cartpole-swingup"):
+        train_policies(TASK, QUICK, plans=replace(demos, info=replace(demos.info, source=heavier)))
+    with pytest.raises(UsageError, match="needs the controls of the plans, but they have none"):
+        train_policies(TASK, REPLAY, plans=replace(demos, controls=np.zeros_like(demos.controls)))
+    with pytest.raises(UsageError, match="ends an episode at every state of the plans"):
+        fallen = replace(demos, states=np.full_like(demos.states, 1.0))
+        train_policies("cartpole", QUICK, plans=fallen)
+    with pytest.raises(UsageError, match="needs one embedding for all seeds, got 2"):
+        config = replace(REPLAY, z="augment", num_seeds=2)
+        train_policies(TASK, config, plans=demos, embedding=[embedding, embedding])
+    with pytest.raises(UsageError, match="--resets needs plans: give --plans DIR"):
+        train_policies(TASK, QUICK)
+
+
+def test_the_command_line_takes_plans(
+    demo_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = ["train", "pendulum-swingup", "--out", str(tmp_path), "--plans", str(demo_folder)]
+    assert main([*run, "--resets", "0.5"]) == 2
+    assert "give plans of the same joints" in capsys.readouterr().err
+    assert main([*run, "--resets", "2"]) == 2
+    assert "must be between 0 and 1, got 2.0" in capsys.readouterr().err

@@ -30,7 +30,7 @@ from planspace.tasks.gymnasium import AnyTask, GymTask, find_training_task
 if TYPE_CHECKING:
     from planspace.rl.trained import TrainedPolicies
 
-RECORDED = ("task", "task_sha256", "environment", "embeddings", "versions", "preset")
+RECORDED = ("task", "task_sha256", "environment", "embeddings", "plans", "versions", "preset")
 """What a run's config.json records besides settings."""
 GYM_HELP = "Gymnasium steps its environments one after another, which is slower than planspace's own tasks."
 TASK_HELP = (
@@ -56,6 +56,8 @@ class Train:
     embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
     """Embedding folders that provide z. With several, seed s uses number s modulo their count, so that the
     spread over seeds includes the spread over embeddings."""
+    plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """A dataset of plans, for --resets and --replay."""
     track: UseAppendAction[Annotated[tuple[TrackerName, ...], arg(metavar="{tensorboard,wandb}")]] = ()
     """Also write the curves for TensorBoard (DIR/tensorboard) or Weights & Biases (extra `track`). W&B works
     offline in DIR/wandb unless you are logged in. history.safetensors and log.jsonl are always written."""
@@ -93,7 +95,9 @@ class Train:
             print(f"{task.name}: {GYM_HELP}", file=sys.stderr)
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
-        trained = train_policies(task, self.config, embedding=embeddings, out=self.out, track=self.track)
+        trained = train_policies(
+            task, self.config, embedding=embeddings, plans=self.plans, out=self.out, track=self.track
+        )
         self._draw_curve(trained, self.out)
         if diverged := [str(row.seed) for row in trained.returns if row.diverged]:
             raise PartialResult(

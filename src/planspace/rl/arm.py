@@ -23,7 +23,8 @@ class Arm:
     observer: Observer
     """What policy and critic observe."""
     episodes: Episodes
-    """The environments, seed by seed, the same number for each seed."""
+    """The environments, seed by seed, the same number for each seed. A fraction of the episodes may start at
+    states of plans."""
     shaping: Shaping | None = None
     """The shaping reward, if there is any."""
     plan_transitions: Transitions | None = None

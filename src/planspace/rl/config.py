@@ -41,6 +41,9 @@ class TrainConfig:
     returns leave it out."""
     shaping_scale: float = 10.0
     """Shaping return from a mean start to the goal."""
+    resets: float = field(default=0.0, metadata=UNSET_IF_ZERO)
+    """Fraction of the training episodes that start at states of plans. Evaluations always start as the task
+    says."""
     replay: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Fraction of each minibatch that consists of transitions along plans; for algorithms with a replay
     buffer."""
@@ -77,7 +80,8 @@ class TrainConfig:
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
         scale = self.shaping_scale
         check_setting("shaping_scale", scale, 0 < scale < math.inf, "above 0 and finite")
-        check_setting("replay", self.replay, 0 <= self.replay <= 1, "between 0 and 1")
+        for name in ("resets", "replay"):
+            check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
         for least, names in enumerate((("seed", "eval_every"), ("num_seeds", "steps", "batch_steps"))):
             for name in names:
                 check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")

@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import jax.random as jr
 import numpy as np
 
+from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.envs.episodes import make_episodes
+from planspace.envs.plan_starts import own_starts
 from planspace.errors import UsageError
 from planspace.progress import progress, progress_shown
 from planspace.rl.algorithm import Algorithm, Diverged
@@ -32,6 +34,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.export import export_policies
 from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
 from planspace.rl.observe import Observer
+from planspace.rl.plans import Plans
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.rollout import collect, episode_returns, first_returns
 from planspace.rl.shaping import Shaping
@@ -83,12 +86,13 @@ class _Training:
         return self.arm.config.algorithm
 
 
-def train_policies(
+def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by keyword
     task: str | Path | AnyTask,
     config: TrainConfig | None = None,
     *,
     algorithm: Algorithm | str | None = None,
     embedding: Embedding | Sequence[Embedding] | None = None,
+    plans: Demos | str | Path | None = None,
     out: str | Path | None = None,
     track: Sequence[TrackerName] = (),
     verbose: bool = True,
@@ -106,13 +110,15 @@ def train_policies(
             replaces that of `config`.
         embedding: the embedding that computes z, if `config` uses z. Of a sequence of n embeddings, seed `s`
             uses the one with index `s` modulo n.
+        plans: plans of the task's joints and model, or the folder of a dataset, if `config` has `resets` or
+            `replay`.
         out: the run's folder; without it, policies are stored in a temporary folder.
         track: also send the learning curves to `tensorboard` or `wandb`.
         verbose: show the progress.
 
     Raises:
         PlanspaceError: the folder holds a run with other settings, or cannot be written.
-        UsageError: settings, task, algorithm and embedding do not fit together.
+        UsageError: settings, task, algorithm, embedding and plans do not fit together.
     """
     task = find_training_task(task)
     config = _with_algorithm(config or TrainConfig(), algorithm)
@@ -124,18 +130,20 @@ def train_policies(
     observed = per_seed if config.z != "none" else ()
     observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds)
     shaping = Shaping.of(config, task, per_seed)
+    used = Plans.of(config, observer, plans)
     num = config.num_seeds * num_episodes(task, config.batch_steps)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
     with lock_folder(run):
-        open_run(run, _settings(task, config, given))
+        open_run(run, _settings(task, config, given, used))
         save_task(task, run)
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:
             episodes = make_episodes(task, num, config.reward)
             with contextlib.closing(episodes), progress_shown(verbose):
-                history = _train(Arm(config, observer, episodes, shaping), given, run, track)
+                arm = Arm(config, observer, episodes, shaping)
+                history = _train(arm if used is None else _with_plans(arm, used), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
 
 
@@ -144,6 +152,11 @@ def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> T
     if algorithm is None:
         return config
     return replace(config, algorithm=find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm)
+
+
+def _with_plans(arm: Arm, plans: Plans) -> Arm:
+    """The arm with the starts and transitions that it takes from plans."""
+    return replace(arm, episodes=plans.episodes(arm.episodes), plan_transitions=plans.transitions())
 
 
 def num_episodes(task: AnyTask, batch_steps: int) -> int:
@@ -185,13 +198,16 @@ def _embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) 
     return tuple(embeddings[seed % len(embeddings)] for seed in config.seeds)
 
 
-def _settings(task: AnyTask, config: TrainConfig, embeddings: tuple[Embedding, ...]) -> dict[str, Any]:
+def _settings(
+    task: AnyTask, config: TrainConfig, embeddings: tuple[Embedding, ...], plans: Plans | None
+) -> dict[str, Any]:
     """The content of `config.json`; `read_settings` reads it."""
     return {
         "task": task.name,
         **task_content(task),
         **plain_settings(config),
         "embeddings": [embedding.hash for embedding in embeddings],
+        **({} if plans is None else {"plans": plans.hash}),
         "versions": Provenance.current("mujoco", "jax").plain() | task.versions,
     }
 
@@ -315,7 +331,7 @@ def _evaluate(training: _Training, state: _State, number: int) -> _State:
     rngs = [np.random.default_rng(EVALUATION_SEED) for _ in arm.config.seeds]
     deterministic = [replace(network, log_std=None) for network in _networks(training, state)]
     actor = Actor(deterministic, arm.observer.policy_columns)
-    rollout = collect(arm.episodes, arm.observer, actor, arm.task.horizon, rngs)
+    rollout = collect(own_starts(arm.episodes), arm.observer, actor, arm.task.horizon, rngs)
     return state._replace(history=with_row(state.history, {EVALUATION: first_returns(rollout)}, number))
 
 
