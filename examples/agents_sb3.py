@@ -1,6 +1,6 @@
 """A Stable-Baselines3 agent that observes z: PPO, or TRPO from sb3-contrib, on the swing-up.
 
-    pip install 'planspace[sb3]'
+    pip install '.[sb3]'
     python examples/agents_sb3.py EMBEDDING --agent trpo --steps 500000
 
 EMBEDDING is a folder written by `planspace embed` or `planspace run`. `--workers ours` steps all episodes on

@@ -1,6 +1,6 @@
 """A goal-conditioned agent of Stable-Baselines3 that observes z of its goals: SAC with HER on the cart-pole.
 
-    pip install 'planspace[sb3]'
+    pip install '.[sb3]'
     python examples/her_goals.py EMBEDDING --steps 50000
 
 EMBEDDING is a folder written by `planspace embed` or `planspace run`. The cart is to reach a random position

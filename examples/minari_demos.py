@@ -1,6 +1,6 @@
 """Demonstrations recorded by Minari's `DataCollector`, and an embedding trained on them.
 
-    pip install 'planspace[minari]'
+    pip install '.[minari]'
     python examples/minari_demos.py swingup/expert-v0 --episodes 50 --out embedding
 
 The expert in this example replays plans that were made with the environment's time step. You can use any

@@ -1,6 +1,6 @@
 """A Stable-Baselines3 agent whose policy computes z itself, on its own device: PPO on the swing-up.
 
-    pip install 'planspace[sb3]'
+    pip install '.[sb3]'
     python examples/sb3_features.py EMBEDDING --device cuda
 
 EMBEDDING is a folder written by `planspace embed` or `planspace run`. The environments and the rollout buffer

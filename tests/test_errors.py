@@ -1,7 +1,13 @@
+import json
 import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+from planspace import errors
 from planspace.errors import MAX_LENGTH, PartialResult, PlanspaceError, UsageError, printable, quoted, unknown
 
 
@@ -42,3 +48,42 @@ def test_a_quoted_value_is_short() -> None:
 def test_an_error_can_be_sent_between_processes() -> None:
     error = pickle.loads(pickle.dumps(PartialResult("\x1b " + "x" * 9999)))
     assert isinstance(error, PartialResult) and error.args == ("\x1b " + "x" * 9999,)
+
+
+FOLDER = Path(__file__).parent
+
+
+@pytest.mark.parametrize(
+    ("record", "command"),
+    [
+        (None, "pip install 'planspace[ompl]'"),  # from a package index
+        ({"url": FOLDER.as_uri(), "dir_info": {}}, f"pip install '{FOLDER}[ompl]'"),
+        ({"url": FOLDER.as_uri(), "dir_info": {"editable": True}}, f"pip install -e '{FOLDER}[ompl]'"),
+        ({"url": Path(__file__).as_uri(), "archive_info": {}}, f"pip install '{__file__}[ompl]'"),
+        ({"url": "file:///gone", "dir_info": {}}, "pip install '.[ompl]' in a checkout of planspace"),
+        (
+            {"url": "https://example.org/p.git", "vcs_info": {"vcs": "git", "commit_id": "12ab"}},
+            "pip install 'planspace[ompl] @ git+https://example.org/p.git@12ab'",
+        ),
+    ],
+)
+def test_extras_are_installed_from_where_planspace_came(
+    record: dict | None, command: str, tmp_path: Path
+) -> None:
+    """`errors.py` alone, in a folder that looks like an installation, because tests run in a checkout."""
+    site = tmp_path / "lib" / "site"
+    about = site / "planspace-1.dist-info"
+    for folder in (about, site / "planspace"):
+        folder.mkdir(parents=True)
+    (site / "planspace" / "__init__.py").touch()
+    (about / "METADATA").write_text("Name: planspace\nVersion: 1\n")
+    if record:
+        (about / "direct_url.json").write_text(json.dumps(record))
+    shutil.copy(errors.__file__, site / "planspace")
+    code = "from planspace.errors import install_command; print(install_command('ompl'))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=site, capture_output=True, text=True, check=True)
+    assert done.stdout == command + "\n"
+
+
+def test_extras_of_a_checkout_are_installed_from_it() -> None:
+    assert errors.install_command("ompl") == f"pip install -e '{FOLDER.parent}[ompl]'"

@@ -1,8 +1,11 @@
 """The exceptions of planspace; the command line prints each as one line and returns its exit code."""
 
 import difflib
+import json
 import reprlib
+import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 MAX_LENGTH = 2500
@@ -88,3 +91,43 @@ def did_you_mean(name: str, known: list[str]) -> str:
     """Return ` Did you mean ...?` with the most similar known name; empty if none is similar."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.55)
     return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra, for a message.
+
+    It names the place that planspace was installed from (a folder, a file or a repository), so that it works
+    in every folder, and before planspace is on a package index.
+
+    Args:
+        extra: an extra of pyproject.toml, such as `"ompl"`.
+    """
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname  # slow to import, and only needed here
+
+    origin = _origin()
+    url = origin.get("url", "")
+    if not url:
+        return f"pip install 'planspace[{extra}]'"
+    if repository := origin.get("vcs_info"):
+        place = f"{repository['vcs']}+{url}@{repository['commit_id']}"
+        return f"pip install {shlex.quote(f'planspace[{extra}] @ {place}')}"
+    path = Path(url2pathname(urlsplit(url).path))
+    if not path.exists():
+        return f"pip install '.[{extra}]' in a checkout of planspace"
+    option = "-e " if origin.get("dir_info", {}).get("editable") else ""
+    return f"pip install {option}{shlex.quote(f'{path}[{extra}]')}"
+
+
+def _origin() -> dict[str, Any]:
+    """What planspace was installed from, as pip records it (PEP 610); empty for a package index."""
+    from importlib.metadata import PackageNotFoundError, distribution
+
+    root = Path(__file__).resolve().parents[2]
+    if (root / "pyproject.toml").exists():
+        return {"url": root.as_uri(), "dir_info": {"editable": True}}
+    try:
+        record = distribution("planspace").read_text("direct_url.json")
+    except PackageNotFoundError:  # copied into a folder
+        return {}
+    return json.loads(record) if record else {}

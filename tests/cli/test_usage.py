@@ -1,15 +1,19 @@
 """Help, wrong usage, and what every verb has in common."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+from email.message import Message
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import pytest
 
 from planspace.cli import main
+from planspace.cli.doctor import examine
 from planspace.cli.entry import VERBS
 
 from .calls import call, unboxed
@@ -123,6 +127,47 @@ def test_doctor_examines_this_machine(capsys: pytest.CaptureFixture[str]) -> Non
     assert all(f["ok"] or f["advice"] for f in findings.values())  # a line of advice for all that is missing
     code, out, _ = call(capsys, "doctor")
     assert code == 0 and len(out.strip().splitlines()) == len(findings)
+
+
+def test_doctor_reports_old_versions_and_what_an_extra_of_an_extra_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    needs = {
+        "planspace": ["numpy>=2", "torch>=2.10; extra == 'torch'", "gymnasium[mujoco]; extra == 'robots'"],
+        "gymnasium": ["imageio; extra == 'mujoco'", "pygame; extra == 'other'"],
+    }
+    extras = {"planspace": ["torch", "robots"], "gymnasium": ["mujoco", "other"]}
+    versions = {"planspace": "1", "numpy": "1.26", "torch": "2.5.1", "gymnasium": "1.4"}
+
+    def version(package: str) -> str:
+        if package not in versions:
+            raise PackageNotFoundError
+        return versions[package]
+
+    def metadata(package: str) -> Message:
+        about = Message()
+        for extra in extras[package]:
+            about["Provides-Extra"] = extra
+        return about
+
+    monkeypatch.setattr("importlib.metadata.requires", needs.get)
+    monkeypatch.setattr("importlib.metadata.metadata", metadata)
+    monkeypatch.setattr("planspace.cli.doctor.version", version)
+    monkeypatch.setattr("planspace.cli.doctor.rendering_backend", lambda: "egl")
+    findings = {finding.name: finding for finding in examine()}
+    assert findings["numpy"].value == "missing: numpy>=2 (found 1.26)"
+    assert findings["numpy"].advice == "pip install 'numpy>=2'"
+    assert findings["[torch]"].value == "missing: torch>=2.10 (found 2.5.1)"
+    assert findings["[robots]"].value == "missing: imageio" and not findings["[robots]"].ok
+
+
+def test_doctor_explains_an_opengl_backend_that_breaks_mujoco() -> None:
+    code = "import sys; from planspace.cli import main; sys.exit(main(['doctor']))"
+    environment = {**os.environ, "MUJOCO_GL": "nonsense"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert "MuJoCo cannot be imported (RuntimeError)  -> unset MUJOCO_GL, which is set to" in done.stdout
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

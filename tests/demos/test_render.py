@@ -145,14 +145,12 @@ def test_a_dataset_without_a_model_cannot_be_filmed(tmp_path: Path) -> None:
 
 def test_error_without_opengl_says_what_to_do(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    with pytest.raises(
-        PlanspaceError, match=r"no OpenGL backend works here; unset MUJOCO_GL.*libosmesa|OSMesa"
-    ):
+    with pytest.raises(PlanspaceError, match=r"no OpenGL backend works here; unset MUJOCO_GL.*'nonsense'"):
         render_demos(moving_cart(), tmp_path / "film.gif", SMALL)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_error_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(PlanspaceError, match=r"pip install 'planspace\[video\]'"):
+    with pytest.raises(PlanspaceError, match=r"pip install .*\[video\]'"):
         render_demos(moving_cart(), tmp_path / "film.mp4", SMALL)

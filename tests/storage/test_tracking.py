@@ -71,7 +71,7 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for name in [n for n in sys.modules if n.startswith("tensorboard.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "tensorboard", None)
-    with pytest.raises(PlanspaceError, match=r"^[^\n]*pip install 'planspace\[track\]'\.$"):
+    with pytest.raises(PlanspaceError, match=r"^[^\n]*pip install .*\[track\]'\.$"):
         open_tracker(tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
@@ -133,6 +133,6 @@ def test_several_trackers_and_none(logged_out: None, tmp_path: Path) -> None:
 
 def test_a_missing_wandb_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(PlanspaceError, match=r"needs the package wandb: pip install 'planspace\[track\]'"):
+    with pytest.raises(PlanspaceError, match=r"needs the package wandb: pip install .*\[track\]'"):
         open_wandb(tmp_path / "run")
     assert list(tmp_path.iterdir()) == []

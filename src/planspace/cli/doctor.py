@@ -2,18 +2,25 @@
 
 import importlib.metadata
 import importlib.util
+import os
 import platform
-import re
 import sys
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
+from packaging.requirements import Requirement
+
 from planspace.cli.tables import print_json
+from planspace.errors import install_command
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.workers import count_cores
 
-REQUIREMENT = re.compile(r"(?P<package>[\w.-]+).*?(extra == ['\"](?P<extra>\w+)['\"])?$")
-"""A requirement in the package's metadata, such as `onnx>=1.21; extra == "onnx"`."""
+WHEELS = {
+    "ompl": "Linux and macOS 15 with Python 3.12 or older",
+    "dm_control": "Python 3.12 or older",  # because of labmaze
+    "atheris": "Linux",
+}
+"""What the wheels of a package are for, if not for every system and Python that planspace runs on."""
 
 
 @dataclass(frozen=True)
@@ -51,49 +58,75 @@ class Doctor:
 
 def examine() -> list[Finding]:
     """Examine this machine, which takes a second or two."""
-    requirements = _requirements()
+    requirements = _requirements("planspace")
     return [
         Finding("python", platform.python_version(), sys.version_info >= (3, 11), "install Python 3.11."),
         Finding("cores", str(count_cores()), True),
         Finding("planspace", version("planspace"), True),
-        *(Finding(package, version(package), True) for package in requirements.pop("")),
+        *map(_package, requirements.pop("")),
         _batch(),
         _rendering(),
-        *(_extra(name, packages) for name, packages in requirements.items()),
+        *(_extra(name, needed) for name, needed in requirements.items()),
     ]
 
 
-def _requirements() -> dict[str, list[str]]:
-    """The packages that each extra installs, as pyproject.toml lists them; the base packages under ""."""
-    found: dict[str, list[str]] = {"": []}
-    for requirement in importlib.metadata.requires("planspace") or ():
-        if parts := REQUIREMENT.match(requirement):
-            found.setdefault(parts["extra"] or "", []).append(parts["package"])
+def _requirements(package: str) -> dict[str, list[Requirement]]:
+    """What each extra of an installed package needs on this machine; under "" what it always needs."""
+    about = importlib.metadata.metadata(package)
+    found: dict[str, list[Requirement]] = {extra: [] for extra in ("", *about.get_all("Provides-Extra", []))}
+    for requirement in map(Requirement, importlib.metadata.requires(package) or ()):
+        for extra, needed in found.items():
+            if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+                needed.append(requirement)
+                break
     return found
 
 
-def _extra(name: str, packages: list[str]) -> Finding:
-    missing = [package for package in packages if not _is_installed(package)]
-    value = f"missing: {', '.join(missing)}" if missing else f"found: {', '.join(packages)}"
-    return Finding(f"[{name}]", value, not missing, f"pip install 'planspace[{name}]'")
-
-
-def _is_installed(package: str) -> bool:
+def _faults(requirement: Requirement) -> list[str]:
+    """What is missing or has a version that does not fit, for messages; empty if all is well."""
+    name = requirement.name
     try:
-        version(package)
+        found = version(name)
     except PackageNotFoundError:
-        return False
-    return True
+        return [name]
+    if not requirement.specifier.contains(found, prereleases=True):
+        return [f"{name}{requirement.specifier} (found {found})"]
+    extras = _requirements(name) if requirement.extras else {}
+    return [
+        fault for extra in requirement.extras for needed in extras.get(extra, ()) for fault in _faults(needed)
+    ]
+
+
+def _package(requirement: Requirement) -> Finding:
+    """The finding for a package that planspace always needs."""
+    name, faults = requirement.name, _faults(requirement)
+    value = f"missing: {', '.join(faults)}" if faults else version(name)
+    return Finding(name, value, not faults, f"pip install '{name}{requirement.specifier}'")
+
+
+def _extra(extra: str, needed: list[Requirement]) -> Finding:
+    faults = list(dict.fromkeys(fault for requirement in needed for fault in _faults(requirement)))
+    value = f"missing: {', '.join(faults)}" if faults else f"found: {', '.join(r.name for r in needed)}"
+    limits = [f"; {name} has wheels for {WHEELS[name]}" for name in faults if name in WHEELS]
+    return Finding(f"[{extra}]", value, not faults, install_command(extra) + "".join(limits))
 
 
 def _batch() -> Finding:
-    found = importlib.util.find_spec("mujoco.batch") is not None
-    value = "found" if found else "missing"
-    return Finding("mujoco.batch", value, found, "pip install 'mujoco>=3.17,!=4.0.0'")
+    advice = "pip install 'mujoco>=3.17,!=4.0.0'"
+    try:
+        found = importlib.util.find_spec("mujoco.batch") is not None  # imports mujoco
+    except Exception as error:  # such as a missing OpenGL library
+        chosen = os.environ.get("MUJOCO_GL")
+        fix = advice if chosen is None else f"unset MUJOCO_GL, which is set to {chosen!r}"
+        return Finding("mujoco.batch", f"MuJoCo cannot be imported ({type(error).__name__})", False, fix)
+    return Finding("mujoco.batch", "found" if found else "missing", found, advice)
 
 
 def _rendering() -> Finding:
     backend = rendering_backend()
-    advice = f"only pictures of the robot need it: {rendering_advice()}"
-    value = "none" if backend is None else f"works (MUJOCO_GL={backend})"
-    return Finding("rendering", value, backend is not None, advice)
+    if backend is None:
+        return Finding(
+            "rendering", "none", False, f"only pictures of the robot need it: {rendering_advice()}"
+        )
+    # the command line finds the backend itself, but `mujoco.Renderer` in a program of yours does not
+    return Finding("rendering", f"works; set MUJOCO_GL={backend} in your own programs", True)

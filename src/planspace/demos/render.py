@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.framing import Frame, has_plane, light_from_camera
-from planspace.errors import PlanspaceError, UsageError, check_setting, unknown
+from planspace.errors import PlanspaceError, UsageError, check_setting, install_command, unknown
 from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.progress import progress
 from planspace.storage.files import write_bytes
@@ -267,7 +267,7 @@ def _mp4_encoder() -> Encoder:
         import imageio_ffmpeg
     except ImportError as error:
         raise PlanspaceError(
-            "an MP4 needs imageio-ffmpeg: pip install 'planspace[video]'; or write a FILE.gif."
+            f"an MP4 needs imageio-ffmpeg: {install_command('video')}; or write a FILE.gif."
         ) from error
 
     def encode(pictures: Iterator[Image], config: FilmConfig) -> bytes:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 import planspace
 from planspace.embed.embedding import Embedding
 from planspace.embed.float32_encoder import Float32Encoder, Layer, float32_encoder
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, install_command
 from planspace.physics.quaternion import rotation_columns
 from planspace.storage.files import make_folder, write_bytes
 
@@ -215,5 +215,5 @@ def _onnx() -> ModuleType:
         import onnx.helper
         import onnx.numpy_helper
     except ImportError as error:
-        raise PlanspaceError("ONNX files need the package onnx: pip install 'planspace[onnx]'.") from error
+        raise PlanspaceError(f"ONNX files need the package onnx: {install_command('onnx')}.") from error
     return onnx

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from planspace.embed.embedding import Embedding
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, install_command
 
 if TYPE_CHECKING:
     import torch
@@ -32,7 +32,7 @@ def torch_module(
         from planspace.embed.torch_encoder import TorchEncoder
     except ImportError as error:
         raise PlanspaceError(
-            "torch_module needs PyTorch: pip install 'planspace[torch]'. On a machine without a GPU, install "
+            f"torch_module needs PyTorch: {install_command('torch')}. On a machine without a GPU, install "
             "the CPU build of torch first."
         ) from error
     module = TorchEncoder(embedding, trainable)

@@ -3,13 +3,13 @@
 from typing import Any
 
 from planspace.envs.observation_view import GoalView
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, install_command
 
 try:
     from stable_baselines3 import HerReplayBuffer
 except ImportError as error:
     raise PlanspaceError(
-        "Stable-Baselines3 is not installed: pip install 'planspace[sb3]'. On a machine without a GPU, "
+        f"Stable-Baselines3 is not installed: {install_command('sb3')}. On a machine without a GPU, "
         "install the CPU build of torch first."
     ) from error
 

@@ -11,13 +11,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from planspace.embed.embedding import Embedding
 from planspace.envs.final_observations import last_observation
 from planspace.envs.observation_wrappers import PlanSpaceVectorObservation
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, install_command
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise PlanspaceError(
-        "Stable-Baselines3 is not installed: pip install 'planspace[sb3]'. On a machine without a GPU, "
+        f"Stable-Baselines3 is not installed: {install_command('sb3')}. On a machine without a GPU, "
         "install the CPU build of torch first."
     ) from error
 

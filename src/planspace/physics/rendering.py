@@ -9,6 +9,8 @@ RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'
     "</mujoco>'); r = mujoco.Renderer(m, 16, 16); r.update_scene(mujoco.MjData(m)); r.render()"
 )
+APT_PACKAGES = "libegl1 libopengl0 libgl1-mesa-dri"
+"""Packages of Debian and Ubuntu that draw without a graphics card (newer ones have no OSMesa)."""
 
 
 def rendering_backend() -> str | None:
@@ -30,10 +32,15 @@ def rendering_backend() -> str | None:
 
 def rendering_advice() -> str:
     """Say what to do if no backend works."""
-    manager = "apt-get install libosmesa6" if shutil.which("apt-get") else "install OSMesa or an EGL driver"
     chosen = os.environ.get("MUJOCO_GL")
-    first = "" if chosen is None else f"unset MUJOCO_GL, which is set to {chosen!r}; otherwise "
-    return f"{first}{manager}, set MUJOCO_GL=osmesa"
+    if chosen is not None:
+        return (
+            f"unset MUJOCO_GL, which is set to {chosen!r}, so that planspace looks for a backend that works"
+        )
+    if shutil.which("apt-get"):
+        is_root = hasattr(os, "geteuid") and os.geteuid() == 0
+        return f"{'' if is_root else 'sudo '}apt-get install {APT_PACKAGES}"
+    return "install EGL and OpenGL, which come with Mesa or the driver of the graphics card"
 
 
 def _backends() -> list[str]:

@@ -45,6 +45,8 @@ def use_compilation_cache() -> None:
 
 def _make_cache_folder() -> Path | None:
     """Make this machine's cache folder and remove old programs; None if others can write the folder."""
+    if not hasattr(os, "getuid"):  # Windows, where the mode of a folder does not say who can write it
+        return None
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = base / "planspace" / _machine_hash()
     base.mkdir(parents=True, exist_ok=True)

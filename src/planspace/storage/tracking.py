@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Literal
 
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, install_command
 from planspace.storage.files import make_folder, read_bytes, write_bytes
 
 TrackerName = Literal["tensorboard", "wandb"]
@@ -94,7 +94,7 @@ def open_tracker(folder: Path) -> Tracker:
         from tensorboard.summary.writer.record_writer import RecordWriter
     except ImportError as error:
         raise PlanspaceError(
-            "curves for TensorBoard need the package tensorboard: pip install 'planspace[track]'."
+            f"curves for TensorBoard need the package tensorboard: {install_command('track')}."
         ) from error
     # TensorBoard reads the files of a folder in the order of their names
     path = make_folder(folder) / f"events.out.tfevents.{time.time_ns()}.{os.getpid()}"
@@ -127,7 +127,7 @@ def open_wandb(folder: Path) -> WandbTracker:
         import wandb
     except ImportError as error:
         raise PlanspaceError(
-            "Weights & Biases needs the package wandb: pip install 'planspace[track]'."
+            f"Weights & Biases needs the package wandb: {install_command('track')}."
         ) from error
     make_folder(folder)
     mode = None if "WANDB_MODE" in os.environ or _has_wandb_credentials() else "offline"

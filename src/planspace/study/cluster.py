@@ -19,7 +19,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, install_command
 from planspace.storage.files import make_folder, read_bytes, write_or_link
 from planspace.storage.json_files import json_hash
 from planspace.storage.runs import lock_folder
@@ -125,7 +125,7 @@ def check_cluster(address: str) -> None:
     try:
         import ray  # noqa: F401
     except ImportError as error:
-        raise UsageError("`--ray` needs the extra `ray`: pip install 'planspace[ray]'.") from error
+        raise UsageError(f"`--ray` needs the extra `ray`: {install_command('ray')}.") from error
     try:
         socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
     except (OSError, OverflowError) as error:

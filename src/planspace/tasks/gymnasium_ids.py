@@ -7,7 +7,7 @@ import os
 
 import gymnasium
 
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, install_command
 from planspace.physics.rendering import rendering_backend
 
 _ROBOTICS, _DM_CONTROL = ("gymnasium_robotics",), ("dm_control", "shimmy")
@@ -74,7 +74,7 @@ def _import_provider(module: str, task: str) -> None:
         gymnasium.register_envs(importlib.import_module(module))
     except ModuleNotFoundError as error:
         raise PlanspaceError(
-            f"{task} needs the package {error.name}: pip install 'planspace[robots]'."
+            f"{task} needs the package {error.name}: {install_command('robots')}."
         ) from error
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from planspace.errors import PlanspaceError, quoted
+from planspace.errors import PlanspaceError, install_command, quoted
 from planspace.storage.checks import MAX_BYTES, MAX_JSON_BYTES, check_file, explain_library_read
 
 MAX_EXPANSION = 1032
@@ -37,7 +37,7 @@ def hdf5_module() -> ModuleType:
     try:
         import h5py
     except ImportError as error:
-        raise PlanspaceError("HDF5 files need the package h5py: pip install 'planspace[data]'.") from error
+        raise PlanspaceError(f"HDF5 files need the package h5py: {install_command('data')}.") from error
     return h5py
 
 

@@ -33,7 +33,7 @@ from planspace.demos.recording import (
     recorded,
 )
 from planspace.demos.state_info import StateInfo, parse_info
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, install_command
 from planspace.storage.json_files import read_json
 
 PREFIX = "minari:"
@@ -273,7 +273,7 @@ def _minari() -> ModuleType:
     try:
         import minari
     except ImportError as error:
-        raise PlanspaceError("Minari is not installed: pip install 'planspace[minari]'.") from error
+        raise PlanspaceError(f"Minari is not installed: {install_command('minari')}.") from error
     return minari
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from planspace.errors import PlanspaceError, quoted
+from planspace.errors import PlanspaceError, install_command, quoted
 from planspace.storage.checks import MAX_BYTES, check_file, explain_library_read
 
 MAX_EXPANSION = 1032
@@ -35,9 +35,7 @@ def parquet_module() -> Any:
     try:
         from pyarrow import parquet
     except ImportError as error:
-        raise PlanspaceError(
-            "Parquet files need the package pyarrow: pip install 'planspace[data]'."
-        ) from error
+        raise PlanspaceError(f"Parquet files need the package pyarrow: {install_command('data')}.") from error
     return parquet
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Suppress
 
-from planspace.errors import PlanspaceError, UsageError, check_setting, unknown
+from planspace.errors import PlanspaceError, UsageError, check_setting, install_command, unknown
 from planspace.plan.planner import Failure, Plan
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class OMPL:
             names = ["sst", *(OMPL(name).name for name in usable)]
             raise UsageError(f"{self.name} cannot plan a {kind} problem; {', '.join(names)} can.")
         if importlib.util.find_spec("ompl") is None:
-            raise PlanspaceError("OMPL is not installed: pip install 'planspace[ompl]'.")
+            raise PlanspaceError(f"OMPL is not installed: {install_command('ompl')}.")
         version = importlib.metadata.version("ompl")
         if not version.startswith("1.") and self.algorithm in NOT_IN_VERSION_2:
             raise PlanspaceError(
