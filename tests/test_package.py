@@ -1,14 +1,22 @@
 """Rules for the package as a whole."""
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import planspace
+import pytest
+import yaml
 
+import planspace
+from planspace.cli.entry import VERBS
+
+ROOT = Path(__file__).parents[1]
 SOURCE = Path(planspace.__file__).parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 GROUND_FLOOR = ("errors", "progress", "workers", "seams", "summary")
 MAX_LINES = 350
 """Lines of a file in src, tests or benchmarks."""
@@ -114,8 +122,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 def test_no_file_is_longer_than_350_lines() -> None:
-    root = Path(__file__).parents[1]
-    files = [file for folder in ("src", "tests", "benchmarks") for file in (root / folder).rglob("*.py")]
+    files = [file for folder in ("src", "tests", "benchmarks") for file in (ROOT / folder).rglob("*.py")]
     lengths = {file: len(file.read_text().splitlines()) for file in files}
     assert {file: length for file, length in lengths.items() if length > MAX_LINES} == {}
 
@@ -146,3 +153,34 @@ def test_every_public_name_is_imported_on_first_use() -> None:
         assert name in dir(planspace)
     declared = (SOURCE / "__init__.py").read_text()
     assert all(f"import {name} as {name}\n" in declared for name in planspace.__all__)  # for type checkers
+
+
+@pytest.mark.parametrize("file", ["test.yml", "release.yml", "docs.yml"])
+def test_workflows_name_what_exists(file: str) -> None:
+    """They cannot run here."""
+    classified = set(re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"])))
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / file).read_text())
+    assert workflow["permissions"] == {"contents": "read"}
+    for job in workflow["jobs"].values():
+        matrix = job.get("strategy", {}).get("matrix", {}).get("python", [])
+        used = {
+            step["with"]["python-version"] for step in job["steps"] if "setup-python" in step.get("uses", "")
+        }
+        assert {*matrix, *used} - {"${{ matrix.python }}"} <= classified
+        assert all(re.search(r"@(release/)?v\d+$", step["uses"]) for step in job["steps"] if "uses" in step)
+        commands = "\n".join(step.get("run", "") for step in job["steps"])
+        assert set(re.findall(r"^planspace ([a-z]\w*)", commands, re.MULTILINE)) <= VERBS.keys()
+        assert all((ROOT / path).exists() for path in re.findall(r"\btests/\S+", commands))
+        extras = ",".join(re.findall(r"""['"]\.\[(.*?)\]['"]""", commands)).split(",")
+        assert {*extras} - {""} <= PROJECT["optional-dependencies"].keys()
+    if file == "test.yml":
+        assert set(workflow["jobs"]["linux"]["strategy"]["matrix"]["python"]) == classified
+
+
+def test_issue_forms_have_what_the_host_requires() -> None:
+    forms = [file for file in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if file.stem != "config"]
+    assert len(forms) == 3
+    for form in map(yaml.safe_load, (file.read_text() for file in forms)):
+        assert {"name", "description", "body"} <= form.keys()
+        fields = [field for field in form["body"] if field["type"] != "markdown"]
+        assert all(field["id"] and field["attributes"]["label"] for field in fields)
