@@ -1,6 +1,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,6 +10,7 @@ from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms import ALGORITHMS, PRESETS, find_algorithm
 from planspace.rl.algorithms.on_policy import MODERN, OnPolicy
 from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.sac import SAC
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig
 from planspace.rl.saved_settings import read_settings
@@ -21,7 +23,11 @@ GOLDEN = Path(__file__).parents[1] / "golden" / "2026-11" / "run"
 def test_the_shipped_algorithms_fit_the_protocol() -> None:
     for (name, _), algorithm in PRESETS.items():
         assert isinstance(algorithm, Algorithm) and algorithm.name == name  # pyright: ignore
-    assert {"trpo": TRPO(), "ppo": PPO()} == ALGORITHMS  # the defaults of a class are the preset `paper`
+    assert {
+        "trpo": TRPO(),
+        "ppo": PPO(),
+        "sac": SAC(),
+    } == ALGORITHMS  # the defaults of a class are the preset `paper`
 
 
 def test_unknown_names_are_refused() -> None:
@@ -69,10 +75,14 @@ def test_settings_of_version_0_1_0_are_read() -> None:
         (("ppo", "paper"), {"gae_lambda": -0.1}, "`gae_lambda` must be between 0 and 1, got -0.1."),
         (("ppo", "modern"), {"clip": float("nan")}, "`clip` must be above 0 and finite, got nan."),
         (("ppo", "modern"), {"minibatch": 0}, "`minibatch` must be at least 1, got 0."),
+        (("sac", "paper"), {"polyak": 0.0}, "`polyak` must be above 0 and at most 1, got 0.0."),
+        (("sac", "paper"), {"learning_starts": -1}, "`learning_starts` must be at least 0, got -1."),
+        (("sac", "paper"), {"hidden": ()}, "hidden layers need at least one unit each, got ()."),
+        (("sac", "modern"), {"updates_per_step": 0.0}, "`updates_per_step` must be above 0 and finite"),
     ],
 )
 def test_hyperparameters_out_of_range_are_refused(
-    preset: tuple[str, str], change: dict[str, float], message: str
+    preset: tuple[str, str], change: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(UsageError, match=re.escape(message)):
         with_settings(PRESETS[preset], **change)
@@ -80,8 +90,8 @@ def test_hyperparameters_out_of_range_are_refused(
 
 def test_unknown_and_incomplete_settings_are_refused() -> None:
     saved = json.loads((GOLDEN / "config.json").read_text())
-    with pytest.raises(UsageError, match="unknown algorithm 'sac'"):
-        read_settings(saved | {"algo": "sac"})
+    with pytest.raises(UsageError, match="unknown algorithm 'td3'"):
+        read_settings(saved | {"algo": "td3"})
     with pytest.raises(UsageError, match="trained by 'mine:CEM', which planspace does not ship"):
         read_settings({"task": "cartpole", "algorithm": {"name": "mine:CEM"}})
     for broken in ({}, {"task": "cartpole"}, {"task": "cartpole", "algorithm": 3}):

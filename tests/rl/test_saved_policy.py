@@ -12,6 +12,7 @@ from planspace.embed.embedding import Embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import training
 from planspace.rl.algorithms import find_algorithm
+from planspace.rl.algorithms.sac import SAC
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.play import make_env, play
 from planspace.rl.policy_network import Actor
@@ -25,6 +26,11 @@ ARMS = {
     "z to the critic": {"z": "augment", "z_to": "critic"},
     "z only": {"z": "replace"},
     "z only, to the policy": {"z": "replace", "z_to": "policy"},
+    "z, SAC": {
+        "z": "augment",
+        "z_to": "policy",
+        "algorithm": SAC(normalise_obs=True, updates_per_step=1e-3),
+    },
 }
 
 

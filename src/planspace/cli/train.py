@@ -52,7 +52,8 @@ class Train:
     """The algorithm, or module.py:NAME for your own. Its settings are options, too."""
     preset: Annotated[str, arg(metavar="{paper,modern}")] = "paper"
     """Defaults of the algorithm's settings. paper: the paper and the runs of 2020. modern: standardised
-    observations, a value beyond the time limit, and minibatches of steps for PPO."""
+    observations, a value beyond the time limit, minibatches of steps for PPO, and normalised layers of SAC's
+    critics."""
     embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
     """Embedding folders that provide z. With several, seed s uses number s modulo their count, so that the
     spread over seeds includes the spread over embeddings."""

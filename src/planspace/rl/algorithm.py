@@ -47,6 +47,8 @@ class Algorithm(Protocol):
 
     An algorithm with the class attribute `replays = True` takes the fraction `arm.config.replay` of each
     minibatch from `arm.plan_transitions`, if it is not None. Training refuses `replay` for any other one.
+    The class attributes `batch_steps` and `steps_a_second` give the default steps of an iteration and the
+    speed from which studies estimate durations.
     """
 
     def init(self, arm: Arm, *, key: Key) -> Any:

@@ -102,6 +102,8 @@ def checked_network(network: Any, arm: Arm) -> PolicyNetwork:
         raise _misfit(
             "act", f"weights [out, in] and biases [out] from {sizes}", f"weights of shapes {shapes}"
         )
+    if network.limits is not None and not np.array_equal(network.limits, arm.episodes.action_limits):
+        raise _misfit("act", "the limits `arm.episodes.action_limits`, or None", f"{network.limits}")
     return network
 
 

@@ -13,7 +13,8 @@ from planspace.seams import UNSET_IF_ZERO, check_fits, with_settings
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
-"""Steps per iteration and seed (the 2020 runs: 20 episodes of 200, or 40 of 100)."""
+"""Steps per iteration and seed of algorithms without a default of their own (the 2020 runs: 20 episodes of
+200, or 40 of 100)."""
 
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
@@ -53,8 +54,9 @@ class TrainConfig:
     """The first seed; the others follow it."""
     steps: int = 960_000
     """Environment steps per seed, rounded up to whole iterations."""
-    batch_steps: int = BATCH_STEPS
-    """Environment steps per iteration and seed, rounded to whole episodes."""
+    batch_steps: int = 0
+    """Environment steps per iteration and seed, rounded to whole episodes. 0: the algorithm's default, which
+    is 1000 for SAC and 4000 for other algorithms."""
     eval_every: int = 25
     """Iterations between evaluations with deterministic episodes; 0 evaluates only at the end."""
 
@@ -66,6 +68,8 @@ class TrainConfig:
                 `z_to` is given without z.
         """
         check_fits(self.algorithm, Algorithm, HOW_TO)
+        if self.batch_steps == 0:
+            object.__setattr__(self, "batch_steps", default_batch_steps(self.algorithm))
         names = {
             "obs": ObservationType,
             "z": ZMode,
@@ -110,3 +114,8 @@ class TrainConfig:
     def iterations(self) -> int:
         """Iterations of `batch_steps` that make at least `steps`."""
         return -(-self.steps // self.batch_steps)
+
+
+def default_batch_steps(algorithm: Algorithm) -> int:
+    """The class attribute `batch_steps` of an algorithm, or `BATCH_STEPS` if it has none."""
+    return getattr(algorithm, "batch_steps", BATCH_STEPS)

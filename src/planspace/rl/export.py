@@ -62,6 +62,10 @@ def export_policies(
         versions=Provenance.current().plain(),
         **content,
     )
+    if networks[0].activation != "tanh":
+        about["activation"] = networks[0].activation
+    if networks[0].limits is not None:
+        about["squashed"] = True
     save_policies(out, _arrays(networks), about)
 
 

@@ -32,6 +32,11 @@ class ObsStatistics(NamedTuple):
         """Statistics of several seeds, with a leading axis."""
         return cls(*map(np.stack, zip(*parts, strict=True)))
 
+    @property
+    def std(self) -> Float[np.ndarray, "*seed obs"]:
+        """Standard deviation of each number; there must be at least one observation."""
+        return np.sqrt(self.squares / self.num[..., None] + LEAST_VARIANCE)
+
     def with_more(self, obs: Float[np.ndarray, "*seed sample obs"]) -> "ObsStatistics":
         """Statistics that include these observations.
 
@@ -53,6 +58,5 @@ class ObsStatistics(NamedTuple):
         """Standardise observations."""
         if not self.num.any():
             return obs
-        std = np.sqrt(self.squares / self.num[..., None] + LEAST_VARIANCE)
-        shifted = (obs - self.mean[..., None, :]) / std[..., None, :]
+        shifted = (obs - self.mean[..., None, :]) / self.std[..., None, :]
         return np.clip(shifted, -BOUND, BOUND).astype(obs.dtype)

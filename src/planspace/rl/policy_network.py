@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.rl.normalise import ObsStatistics
-from planspace.rl.stack import stacked
+from planspace.rl.stack import Activation, scaled, stacked
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyNetwork:
-    """The deterministic action of one seed's policy: a network with tanh units and a linear output."""
+    """The deterministic action of one seed's policy."""
 
     weights: Sequence[Float[np.ndarray, "_out _in"]]
     """Weights of each layer, from the observation to the action."""
@@ -21,9 +21,13 @@ class PolicyNetwork:
     log_std: Float[np.ndarray, " action"] | None = None
     """Logarithm of the standard deviation of the exploration noise in training; None without noise."""
     layer_norm: bool = False
-    """Whether hidden layers are normalised before the tanh."""
+    """Whether hidden layers are normalised before the activation."""
     statistics: ObsStatistics | None = None
     """Mean and standard deviation by which the whole observation is standardised."""
+    activation: Activation = "tanh"
+    """The activation of hidden layers; the output is linear."""
+    limits: tuple[Float[np.ndarray, " action"], Float[np.ndarray, " action"]] | None = None
+    """Lower and upper limits between which tanh squashes the output; None if the output is the action."""
 
 
 class Actor:
@@ -40,6 +44,7 @@ class Actor:
         parts = [n.statistics for n in networks if n.statistics is not None]
         self._statistics = ObsStatistics.stacked(parts) if parts else None
         self._std = np.exp(np.stack(logs)) if (logs := log_stds(networks)) else None
+        self._limits = stacked_limits(networks)
 
     def __call__(
         self, obs: Float[np.ndarray, "seed env obs"], noise: Float[np.ndarray, "seed env action"]
@@ -48,9 +53,22 @@ class Actor:
         if self._statistics is not None:
             obs = self._statistics(obs)
         mean = self._mean(obs[..., self._columns])
+        if self._limits is not None:
+            mean = scaled(np.tanh(mean), *(limit[:, None] for limit in self._limits))
         return mean if self._std is None else mean + noise * self._std[:, None, :]
 
 
 def log_stds(networks: Sequence[PolicyNetwork]) -> list[np.ndarray]:
     """Logarithm of the standard deviation of each network's exploration; empty if they do not explore."""
     return [np.asarray(n.log_std) for n in networks if n.log_std is not None]
+
+
+def stacked_limits(
+    networks: Sequence[PolicyNetwork],
+) -> tuple[Float[np.ndarray, "seed action"], Float[np.ndarray, "seed action"]] | None:
+    """The limits between which the output of each network is squashed; None if they are not."""
+    found = [n.limits for n in networks if n.limits is not None]
+    if not found:
+        return None
+    low, high = (np.stack(part).astype(np.float32) for part in zip(*found, strict=True))
+    return low, high

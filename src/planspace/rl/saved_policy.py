@@ -16,7 +16,7 @@ from jaxtyping import Float
 from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.rl.config import ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
-from planspace.rl.stack import Stack
+from planspace.rl.stack import Activation, Stack, scaled
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
@@ -24,7 +24,9 @@ from planspace.tasks.catalog import TASKS
 from planspace.tasks.gymnasium import parse_gym_task
 from planspace.tasks.observation_types import MAX_OBS, OBSERVATION_TYPES, ObservationType, RewardType
 
-SCHEMA = 1
+SCHEMA = 2
+"""1: tanh units and a linear output. 2: ReLU units, or an output that tanh squashes, which version 0.1.0 does
+not know."""
 WEIGHTS, DESCRIPTION, EMBEDDING = "policies.safetensors", "policies.json", "embedding"
 ALLOWED = {
     "obs": OBSERVATION_TYPES,
@@ -54,6 +56,10 @@ class PoliciesInfo(TypedDict):
     columns: list[int | None]
     """First and last column that the policies read."""
     layer_norm: bool
+    activation: NotRequired[Activation]
+    """The activation of hidden layers; tanh if it is missing."""
+    squashed: NotRequired[bool]
+    """Whether tanh squashes the output between the limits of an action; no if it is missing."""
     action_low: list[float | None]
     """Lower limits of an action; None for no limit."""
     action_high: list[float | None]
@@ -114,6 +120,8 @@ class Policy:
             rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)
             rows = rows if self.statistics is None else self.statistics(rows)
             actions = self.network(rows[..., self.columns])[0]
+            if self.about.get("squashed", False):
+                actions = scaled(np.tanh(actions), self.low, self.high)
         if not np.isfinite(actions).all():
             raise PlanspaceError(
                 f"{self.run}: an action of seed {self.seed} is not finite, because its weights or its "
@@ -126,7 +134,8 @@ class Policy:
 def save_policies(run: Path, arrays: Arrays, about: PoliciesInfo) -> None:
     """Write the policies of a run, the description last: a folder without it holds no policies."""
     sha256 = write_arrays(run / WEIGHTS, arrays)
-    write_sealed(run / DESCRIPTION, {"schema": SCHEMA, "kind": "policies", "weights_sha256": sha256, **about})
+    schema = SCHEMA if {"activation", "squashed"} & about.keys() else 1
+    write_sealed(run / DESCRIPTION, {"schema": schema, "kind": "policies", "weights_sha256": sha256, **about})
 
 
 def find_runs(folder: Path) -> dict[str, Path]:
@@ -179,6 +188,7 @@ def _assembled(run: Path, saved: dict[str, Any], seed: int | Literal["best"]) ->
         [arrays[f"{n}.weight"] for n in layers],
         [arrays[f"{n}.bias"] for n in layers],
         layer_norm=about["layer_norm"],
+        activation=about.get("activation", "tanh"),
     )
     statistics = None
     if "num" in arrays:
@@ -215,6 +225,7 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
     for name, known in ALLOWED.items():
         if about.get(name, "dense" if name == "reward" else None) not in known:
             raise ValueError(f"{name} is {quoted(about.get(name))}")
+    _check_output(about)
     if not all(type(number) is int for number in (*about["seeds"], about["num_obs"])):
         raise TypeError("its seeds or its num_obs are not whole numbers")
     if not 0 < about["num_obs"] <= MAX_OBS:
@@ -224,6 +235,16 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
         raise ValueError("it names an embedding outside its run")
     if about["z"] != "none" and len(embeddings) != len(about["seeds"]):
         raise ValueError("it does not name an embedding for each seed")
+
+
+def _check_output(about: dict[str, Any]) -> None:
+    """Check how the network computes actions."""
+    if about.get("activation", "tanh") not in get_args(Activation):
+        raise ValueError(f"activation is {quoted(about['activation'])}")
+    if type(is_squashed := about.get("squashed", False)) is not bool:
+        raise TypeError(f"squashed is {quoted(is_squashed)}")
+    if is_squashed and None in (*about["action_low"], *about["action_high"]):
+        raise ValueError("its output is squashed between limits that are missing")
 
 
 def _limits(numbers: list[float | None], unlimited: float) -> Float[np.ndarray, " action"]:

@@ -30,7 +30,7 @@ from planspace.rl.checks import (
     checked_state,
     checked_update,
 )
-from planspace.rl.config import TrainConfig
+from planspace.rl.config import TrainConfig, default_batch_steps
 from planspace.rl.export import export_policies
 from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
 from planspace.rl.observe import Observer
@@ -148,10 +148,12 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
 
 
 def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> TrainConfig:
-    """The settings with another algorithm, if there is one."""
+    """The settings with another algorithm, if there is one, and its default of `batch_steps`."""
     if algorithm is None:
         return config
-    return replace(config, algorithm=find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm)
+    new = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
+    is_default = config.batch_steps == default_batch_steps(config.algorithm)
+    return replace(config, algorithm=new, batch_steps=0 if is_default else config.batch_steps)
 
 
 def _with_plans(arm: Arm, plans: Plans) -> Arm:

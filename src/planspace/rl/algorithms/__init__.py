@@ -4,18 +4,22 @@ from planspace.errors import unknown
 from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms.on_policy import MODERN
 from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.sac import SAC
 from planspace.rl.algorithms.trpo import TRPO
 
 PRESETS: dict[tuple[str, str], Algorithm] = {
     ("trpo", "paper"): TRPO(),
     ("ppo", "paper"): PPO(),
+    ("sac", "paper"): SAC(),
     ("trpo", "modern"): TRPO(MODERN, max_kl=0.02),
     ("ppo", "modern"): PPO(
         MODERN, learning_rate=5e-4, minibatch=125, of_steps=True, tolerance=0.0, clip_norm=0.5
     ),
+    ("sac", "modern"): SAC(layer_norm=True, normalise_obs=True),
 }
 """Settings of each (algorithm, preset). `paper`: the paper and, where it is silent, the garage release that
-the 2020 runs used. `modern`: what measured best. The two are never mixed in one table."""
+the 2020 runs used; the paper has no SAC, whose settings are the defaults of Stable-Baselines3. `modern`: what
+measured best. The two are never mixed in one table."""
 
 ALGORITHMS: dict[str, Algorithm] = {name: x for (name, preset), x in PRESETS.items() if preset == "paper"}
 """The default settings of each shipped algorithm, by name."""
