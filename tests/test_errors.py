@@ -86,4 +86,6 @@ def test_extras_are_installed_from_where_planspace_came(
 
 
 def test_extras_of_a_checkout_are_installed_from_it() -> None:
+    if not Path(errors.__file__).is_relative_to(FOLDER.parent):
+        pytest.skip("planspace is not installed from this checkout")
     assert errors.install_command("ompl") == f"pip install -e '{FOLDER.parent}[ompl]'"

@@ -133,10 +133,15 @@ def test_doctor_reports_old_versions_and_what_an_extra_of_an_extra_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     needs = {
-        "planspace": ["numpy>=2", "torch>=2.10; extra == 'torch'", "gymnasium[mujoco]; extra == 'robots'"],
+        "planspace": [
+            "numpy>=2",
+            "torch>=2.10; extra == 'torch'",
+            "gymnasium[mujoco]; extra == 'robots'",
+            "ompl; extra == 'ompl'",
+        ],
         "gymnasium": ["imageio; extra == 'mujoco'", "pygame; extra == 'other'"],
     }
-    extras = {"planspace": ["torch", "robots"], "gymnasium": ["mujoco", "other"]}
+    extras = {"planspace": ["torch", "robots", "ompl"], "gymnasium": ["mujoco", "other"]}
     versions = {"planspace": "1", "numpy": "1.26", "torch": "2.5.1", "gymnasium": "1.4"}
 
     def version(package: str) -> str:
@@ -159,6 +164,10 @@ def test_doctor_reports_old_versions_and_what_an_extra_of_an_extra_needs(
     assert findings["numpy"].advice == "pip install 'numpy>=2'"
     assert findings["[torch]"].value == "missing: torch>=2.10 (found 2.5.1)"
     assert findings["[robots]"].value == "missing: imageio" and not findings["[robots]"].ok
+    assert "[ompl]'" in findings["[ompl]"].advice
+    monkeypatch.setattr(sys, "version_info", (3, 13, 0))
+    (ompl,) = (finding for finding in examine() if finding.name == "[ompl]")
+    assert ompl.advice == "ompl needs Python 3.12 or older on linux, darwin: it has no other wheels"
 
 
 def test_doctor_explains_an_opengl_backend_that_breaks_mujoco() -> None:

@@ -16,11 +16,11 @@ from planspace.physics.rendering import rendering_advice, rendering_backend
 from planspace.workers import count_cores
 
 WHEELS = {
-    "ompl": "Linux and macOS 15 with Python 3.12 or older",
-    "dm_control": "Python 3.12 or older",  # because of labmaze
-    "atheris": "Linux",
+    "ompl": ((3, 12), ("linux", "darwin")),
+    "dm_control": ((3, 12), ("linux", "darwin", "win32")),  # because of labmaze
+    "atheris": ((3, 14), ("linux",)),
 }
-"""What the wheels of a package are for, if not for every system and Python that planspace runs on."""
+"""Packages without wheels for some Python or system: the newest Python, and the systems (`sys.platform`)."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,19 @@ def _package(requirement: Requirement) -> Finding:
 def _extra(extra: str, needed: list[Requirement]) -> Finding:
     faults = list(dict.fromkeys(fault for requirement in needed for fault in _faults(requirement)))
     value = f"missing: {', '.join(faults)}" if faults else f"found: {', '.join(r.name for r in needed)}"
-    limits = [f"; {name} has wheels for {WHEELS[name]}" for name in faults if name in WHEELS]
-    return Finding(f"[{extra}]", value, not faults, install_command(extra) + "".join(limits))
+    without_wheel = [name for name in faults if not _has_wheel(name)]
+    advice = "; ".join(map(_no_wheel, without_wheel)) or install_command(extra)
+    return Finding(f"[{extra}]", value, not faults, advice)
+
+
+def _has_wheel(package: str) -> bool:
+    newest, systems = WHEELS.get(package, (sys.version_info[:2], (sys.platform,)))
+    return sys.version_info[:2] <= newest and sys.platform in systems
+
+
+def _no_wheel(package: str) -> str:
+    (major, minor), systems = WHEELS[package]
+    return f"{package} needs Python {major}.{minor} or older on {', '.join(systems)}: it has no other wheels"
 
 
 def _batch() -> Finding:
