@@ -19,7 +19,7 @@ PRESETS: dict[tuple[str, str], Algorithm] = {
 }
 """Settings of each (algorithm, preset). `paper`: the paper and, where it is silent, the garage release that
 the 2020 runs used; the paper has no SAC, whose settings are the defaults of Stable-Baselines3. `modern`: what
-measured best. The two are never mixed in one table."""
+measured best; that of SAC was not compared with its `paper`. The two are never mixed in one table."""
 
 ALGORITHMS: dict[str, Algorithm] = {name: x for (name, preset), x in PRESETS.items() if preset == "paper"}
 """The default settings of each shipped algorithm, by name."""
