@@ -20,6 +20,18 @@ def test_a_log_has_one_line_for_a_short_stage(capsys: pytest.CaptureFixture[str]
     assert lines[0].startswith("plan: 1/4") and lines[-1].startswith("plan: 4/4")
 
 
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_the_time_left_of_the_bar_can_be_hidden(
+    is_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    for remaining in (True, False):
+        with progress("study", total=4, remaining=remaining) as bar:
+            bar.set_postfix_str("2 h left")
+        shown = capsys.readouterr().err
+        assert "2 h left" in shown and ("<" in shown) == remaining
+
+
 @pytest.mark.parametrize(("outer", "inner"), [(False, False), (False, True), (True, False)])
 def test_verbose_false_hides_every_bar(
     outer: bool, inner: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

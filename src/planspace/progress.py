@@ -10,6 +10,8 @@ from tqdm import tqdm
 
 LOG_INTERVAL_S = 60.0
 """Seconds between two lines of a log."""
+BAR = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+"""A bar on a terminal or in a notebook that shows no rate."""
 PATIENCE_S = 2.0
 """Seconds before `progress_over` shows its bar."""
 Item = TypeVar("Item")
@@ -42,7 +44,9 @@ def progress_shown(verbose: bool) -> Iterator[None]:
 
 
 @contextmanager
-def progress(description: str, total: int, *, done: int = 0, unit: str = "it") -> Iterator[Progress]:
+def progress(
+    description: str, total: int, *, done: int = 0, unit: str = "it", remaining: bool = True
+) -> Iterator[Progress]:
     """Show the progress of a stage on standard error, or as a widget in a notebook.
 
     Args:
@@ -50,11 +54,14 @@ def progress(description: str, total: int, *, done: int = 0, unit: str = "it") -
         total: number of units.
         done: number of units that an earlier run has finished.
         unit: what is counted.
+        remaining: whether to show the time left, assuming that all units take equally long.
 
     Yields:
         The bar to update.
     """
     bar_class, options = _bar()
+    if not remaining:
+        options["bar_format"] = options.get("bar_format", BAR).replace("<{remaining}", "")
     with bar_class(
         desc=description,
         total=total,

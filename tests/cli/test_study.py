@@ -26,6 +26,17 @@ from planspace.cli import main
             "`--ray` must be HOST:PORT, as `ray start --head` prints it, got 'here'.",
         ),
         (["paper", "--report"], 1, "no arm of study paper has been run in"),
+        (["paper", "--shard", "0/3"], 2, "`--shard` must be I/N with I from 1 to N, such as 2/3, got '0/3'."),
+        (
+            ["paper", "--shard", "1/200"],
+            2,
+            "study paper cannot be divided into 200 shards: it has only 108 units of policies.",
+        ),
+        (["paper", "--shard", "1/3", "--report"], 2, "--report and --shard cannot be used together."),
+        (["paper", "--slurm", "0"], 2, "`--slurm` must be at least 1, got 0."),
+        (["paper", "--slurm", "2", "--ray", "h:1"], 2, "--ray and --slurm cannot be used together."),
+        (["paper", "--merge"], 2, "`--merge` needs the folders of the shards."),
+        (["paper", "--merge", "nowhere"], 1, "nowhere is not a shard of a study: it has no shard.json."),
     ],
 )
 def test_wrong_arguments_are_rejected(

@@ -53,23 +53,70 @@ class Study:
     how many units run at a time; 0 uses every core of the cluster."""
     report: bool = False
     """Write the report of the existing results, without running any units."""
+    shard: Annotated[str, arg(metavar="I/N", help_behavior_hint="(default: the whole study)")] = ""
+    """Run only part I of N of the study, such as 2/3, on a machine of its own. The results are stored in
+    DIR/NAME-BUDGET-shard-I-of-N. The shards take about the same time."""
+    merge: Annotated[
+        tuple[Path, ...] | None, arg(metavar="SHARD...", help_behavior_hint="(default: none)")
+    ] = None
+    """The folders of all shards. Copy their results to DIR and write the report, as if the study had been
+    run in one piece. Give the other options as for the shards."""
+    slurm: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: none)")] = None
+    """Print the script of a Slurm job array that runs the study in N shards. Nothing is run."""
 
     def __call__(self) -> None:
         """Run the units that are missing, write the report and print the tables."""
         from planspace.study.grid import STUDIES, make_study
-        from planspace.study.report import write_report
-        from planspace.study.run import failures
-        from planspace.study.summary import read_findings
-        from planspace.study.tables import as_text
 
         if not self.name:
             raise UsageError(f"which study? Choose one of {', '.join(STUDIES)}.")
         if self.workers < 0:
             raise UsageError(f"`--workers` must be 0 or more, got {self.workers}.")
+        self._check_mode()
         study = make_study(self.name, self.budget, seeds=self.seeds, task=load_or_name(self.task))
         study = replace(study, task=self.task)
         selected = study.only(self.only)
-        failed = {} if self.report else self._run(selected)
+        if self.slurm is not None:
+            from planspace.study.slurm import slurm_script
+
+            print(slurm_script(selected, self.slurm, self.out, self.workers), end="")
+        elif self.shard:
+            self._run_shard(selected)
+        else:
+            self._run_whole(study, selected)
+
+    def _check_mode(self) -> None:
+        """Check that at most one option says what to do instead of running the whole study."""
+        from planspace.study.shards import Shard
+
+        modes = {
+            "--report": self.report,
+            "--shard": bool(self.shard),
+            "--merge": self.merge is not None,
+            "--slurm": self.slurm is not None,
+        }
+        given = [name for name, is_given in modes.items() if is_given]
+        if len(given) > 1:
+            raise UsageError(f"{' and '.join(given)} cannot be used together.")
+        if self.ray and self.slurm is not None:
+            raise UsageError("--ray and --slurm cannot be used together.")
+        if self.merge == ():
+            raise UsageError("`--merge` needs the folders of the shards.")
+        if self.shard:
+            Shard.parse(self.shard)
+
+    def _run_whole(self, study: "StudyDesign", selected: "StudyDesign") -> None:
+        from planspace.study.report import write_report
+        from planspace.study.run import failures
+        from planspace.study.shards import merge_shards
+        from planspace.study.summary import read_findings
+        from planspace.study.tables import as_text
+
+        failed = {}
+        if self.merge:
+            merge_shards(selected, self.merge, self.out)
+        elif not self.report:
+            failed = self._run(selected, self.out)
         text = "".join(f" {line}." for line in failures(failed, study))
         findings = read_findings(selected if self.report else study, self.out)
         if findings.scores or not failed:
@@ -78,11 +125,23 @@ class Study:
         if failed:
             raise PartialResult(f"{counted(len(failed), 'unit')} failed; the other results are saved.{text}")
 
-    def _run(self, study: "StudyDesign") -> dict[str, str]:
+    def _run_shard(self, study: "StudyDesign") -> None:
+        from planspace.study.run import failures
+        from planspace.study.shards import Shard, divide, open_shard
+
+        shard = Shard.parse(self.shard)
+        part = divide(study, shard.count)[shard.index - 1]
+        folder = open_shard(study, shard, self.out)
+        if failed := self._run(part, folder):
+            text = "".join(f" {line}." for line in failures(failed, part))
+            raise PartialResult(f"{counted(len(failed), 'unit')} failed; the other results are saved.{text}")
+        print(f"{shard}, {counted(len(part.units), 'unit')}: {folder}")
+
+    def _run(self, study: "StudyDesign", out: Path) -> dict[str, str]:
         from planspace.study.run import run_study
 
         if not self.ray:
-            return run_study(study, self.out, self.workers)
+            return run_study(study, out, self.workers)
         from planspace.study.cluster import NO_LIMIT, ray_pool
 
-        return run_study(study, self.out, self.workers or NO_LIMIT, ray_pool(self.ray))
+        return run_study(study, out, self.workers or NO_LIMIT, ray_pool(self.ray))

@@ -72,7 +72,7 @@ class RayPool:
             runtime_env={"env_vars": WORKER_ENVIRONMENT},
         )
         cores = int(ray.cluster_resources().get("CPU", 1))
-        self.size = max(1, min(size, cores))
+        self.size, self.cores = max(1, min(size, cores)), 1.0
         self._task = ray.remote(num_cpus=1, max_retries=RETRIES)(run_remotely)
         self._running: dict[Any, Unit] = {}
 

@@ -119,13 +119,16 @@ class Study:
     """The task as it was given, such as `crane.yaml`; empty for the study's own tasks."""
     folder: str = ""
     """The folder of the report; by default `NAME-BUDGET`."""
+    seeds: int = 0
+    """Seeds per arm, as given; 0 if the study's own numbers are used."""
 
     @property
     def command(self) -> str:
         """The command that runs the study."""
         task = f" {shlex.quote(self.task)}" if self.task else ""
+        seeds = f" --seeds {self.seeds}" if self.seeds else ""
         only = "".join(f" --only {shlex.quote(part)}" for part in self.parts)
-        return f"planspace study {self.name}{task} --budget {self.budget}{only}"
+        return f"planspace study {self.name}{task} --budget {self.budget}{seeds}{only}"
 
     @property
     def units(self) -> tuple[Unit, ...]:

@@ -1,7 +1,8 @@
 """Estimated times of units: a guess from their settings, corrected by the units that have been timed."""
 
+import heapq
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from planspace.seams import name_of
 from planspace.study.results import UnitResult
@@ -47,6 +48,38 @@ class Timings:
         """Core seconds of a unit: its guess, scaled by the measured over the guessed time of its kind."""
         kind = _kind(unit)
         return unit.cost * (self._taken[kind] / self._guessed[kind] if self.has_kind(unit) else 1.0)
+
+
+def time_left(
+    waiting: Sequence[Unit], running: Mapping[str, float], timings: Timings, size: int, cores: float = 1.0
+) -> float:
+    """Estimate the seconds until all units are finished.
+
+    The estimate follows the units through the pool. It therefore includes the times at which a part of the
+    pool is idle: while units wait for others that they need, and at the end.
+
+    Args:
+        waiting: the units that wait, in the order in which they are started.
+        running: seconds until each running unit ends, by the unit's name.
+        timings: estimates the waiting units.
+        size: number of units that run at a time.
+        cores: number of cores of each running unit.
+    """
+    ends = [(seconds, name) for name, seconds in running.items()]
+    heapq.heapify(ends)
+    seconds = {unit.name: timings.estimate(unit) / cores for unit in waiting}
+    pending = running.keys() | seconds.keys()
+    missing = {unit.name: {need.name for need in unit.needs} & pending for unit in waiting}
+    now = 0.0
+    while ends or missing:
+        ready = [name for name, needs in missing.items() if not needs]
+        for name in ready[: size - len(ends)]:
+            del missing[name]
+            heapq.heappush(ends, (now + seconds[name], name))
+        now, ended = heapq.heappop(ends)
+        for needs in missing.values():
+            needs.discard(ended)
+    return now
 
 
 def _kind(unit: Unit) -> str:

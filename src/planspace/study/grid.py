@@ -57,7 +57,7 @@ def make_study(name: str, budget: str, *, seeds: int = 0, task: str | Path | Tas
         raise UsageError(f"`--seeds` must be a positive multiple of {BLOCK}, got {seeds}.")
     grid = Builder(BUDGETS[budget], seeds)
     if not task:
-        return STUDIES[name](budget, grid)
+        return replace(STUDIES[name](budget, grid), seeds=seeds)
     given = task.name if isinstance(task, Task) else str(task)
     if name not in ANY_TASK:
         raise UsageError(
@@ -67,4 +67,4 @@ def make_study(name: str, budget: str, *, seeds: int = 0, task: str | Path | Tas
     shipped = not task_content(task)
     study = STUDIES[name](budget, replace(grid, task=task.name if shipped else task))
     label = task.name if shipped else f"{task.name}-{task.hash[:8]}"  # files may have equal names
-    return replace(study, task=given, folder=f"{name}-{label}-{budget}")
+    return replace(study, task=given, folder=f"{name}-{label}-{budget}", seeds=seeds)

@@ -33,6 +33,11 @@ class Pool(Protocol):
         """Number of units that run at a time."""
         ...
 
+    @property
+    def cores(self) -> float:
+        """Number of cores of each running unit."""
+        ...
+
     def start(self, unit: Unit) -> None:
         """Start a unit. The units that it needs are finished."""
         ...
@@ -62,6 +67,7 @@ class LocalPool:
     def __init__(self, out: Path, size: int):
         """Make a pool for a folder of studies, with at most one process per core."""
         self.size, self._out = min(size, count_cores()), out
+        self.cores = count_cores() / self.size
         self._free = list(range(self.size))
         self._running: list[_Running] = []
 

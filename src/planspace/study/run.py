@@ -10,7 +10,7 @@ from planspace.progress import progress
 from planspace.storage.files import TEMPORARY_PREFIX, make_folder
 from planspace.storage.runs import lock_folder, open_run
 from planspace.study.design import Study
-from planspace.study.eta import Timings
+from planspace.study.eta import Timings, time_left
 from planspace.study.execute import SCHEMA, VERSIONS, has_folder, is_done, read_result
 from planspace.study.pool import LocalPool, Pool
 from planspace.study.unit import Unit
@@ -110,45 +110,47 @@ class _State:
                 return unit
         return None
 
-    def ended(self, unit: Unit, error: str | None) -> float:
-        """Record how a unit ended, and return the seconds it took."""
-        _, start = self.running.pop(unit.name)
+    def ended(self, unit: Unit, error: str | None) -> None:
+        """Record how a unit ended."""
+        del self.running[unit.name]
         if error is not None:
             self.attempts[unit.name] = self.attempts.get(unit.name, 0) + 1
             if self.attempts[unit.name] < ATTEMPTS:
                 self.todo.append(unit)
             else:
                 self.failed[unit.name] = error
-        return time.monotonic() - start
 
 
 def _run_all(state: _State, study: Study, out: Path, pool: Pool) -> None:
-    cores = max(1.0, count_cores() / pool.size)
     results = {unit.name: read_result(unit, out) for unit in study.units if is_done(unit, out)}
     timings = Timings.of(study.units, results)
     done = sum(unit.name in results and unit not in state.todo for unit in study.units)
-    with progress(f"study {study.name}", len(study.units), done=done, unit="unit") as bar:
+    with progress(f"study {study.name}", len(study.units), done=done, unit="unit", remaining=False) as bar:
+        refresh = True  # say at once how long it takes
         while state.todo or state.running:
+            left = _time_left(state, timings, pool)
             while len(state.running) < pool.size and (unit := state.next()) is not None:
                 pool.start(unit)
             if not state.running:
                 break
-            for unit, error in pool.wait():
-                seconds = state.ended(unit, error)
-                if error is None:
-                    timings.add(unit, seconds * cores)
-                    bar.update()
             counts = f"{len(state.running)} running, {len(state.failed)} failed"
-            left = _time_left(state, timings, pool, cores)
-            bar.set_postfix_str(f"{counts}, {left} left", refresh=sys.stderr.isatty())
+            bar.set_postfix_str(f"{counts}, {left} left", refresh=refresh)
+            for unit, error in pool.wait():
+                state.ended(unit, error)
+                if error is None:
+                    bar.update()
+                    result = read_result(unit, out)
+                    if unit.name not in results and not result.resumed:
+                        timings.add(unit, result.core_seconds)
+            refresh = sys.stderr.isatty()
 
 
-def _time_left(state: _State, timings: Timings, pool: Pool, cores: float) -> str:
-    """Estimate the time until every unit is finished, if each unit uses `cores` cores."""
+def _time_left(state: _State, timings: Timings, pool: Pool) -> str:
+    """Estimate the time until every unit is finished."""
     now = time.monotonic()
-    waiting = sum(timings.estimate(unit) for unit in state.todo)
-    running = sum(
-        max(timings.estimate(u) - (now - start) * cores, 0.0) for u, start in state.running.values()
-    )
-    minutes = (waiting + running) / (pool.size * cores) / 60
+    running = {
+        unit.name: max(timings.estimate(unit) / pool.cores - (now - start), 0.0)
+        for unit, start in state.running.values()
+    }
+    minutes = time_left(state.todo, running, timings, pool.size, pool.cores) / 60
     return f"{minutes:.0f} min" if minutes < 100 else f"{minutes / 60:.1f} h"

@@ -19,9 +19,9 @@ from planspace.tasks.task import Task
 
 PlanSource = Literal["plan", "2020"]
 
-SECONDS_PER_PLAN = {"plan": 0.85, "2020": 2.0}
-SECONDS_PER_TRIPLET = 4.5e-6
-STEPS_PER_SECOND = 50_000.0
+SECONDS_PER_PLAN = {"plan": 1.0, "2020": 4.2}
+SECONDS_PER_TRIPLET = 6e-6
+STEPS_PER_SECOND = 37_000.0
 """Rough number of environment steps that one core trains per second, for algorithms without `steps_a_second`.
 The time left is estimated from these constants until units are finished."""
 

@@ -17,7 +17,7 @@ class PPO:
     """Proximal policy optimisation; the defaults are the preset `paper`."""
 
     name: ClassVar[str] = "ppo"
-    steps_a_second: ClassVar[float] = 42_000
+    steps_a_second: ClassVar[float] = 37_000
     """Environment steps that one core trains in a second, roughly."""
 
     on_policy: OnPolicy = PPO_2020

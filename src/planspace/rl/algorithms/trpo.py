@@ -17,7 +17,7 @@ class TRPO:
     """Trust region policy optimisation; the defaults are the preset `paper`."""
 
     name: ClassVar[str] = "trpo"
-    steps_a_second: ClassVar[float] = 60_000
+    steps_a_second: ClassVar[float] = 40_000
     """Environment steps that one core trains in a second, roughly."""
 
     on_policy: OnPolicy = TRPO_2020
