@@ -11,6 +11,7 @@ docs/control.md.
 """
 
 import argparse
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,17 @@ from planspace.plan.demonstrations import plan_demos
 from planspace.tasks.problem import Box
 
 RESULTS = Path(__file__).parents[1] / "results" / "control" / "closing_loop.csv"
-COLUMNS = ("problem", "learn", "plans", "round", "demonstrations", "horizon_s", "success", "return_mean")
+COLUMNS = (
+    "problem",
+    "learn",
+    "plans",
+    "round",
+    "embedding_seed",
+    "demonstrations",
+    "horizon_s",
+    "success",
+    "return_mean",
+)
 LEARN_STARTS, TEST_STARTS, LEARN_SEED, TEST_SEED, SAMPLES, EPISODE_S = 60, 20, 1000, 0, 128, 8.0
 LEARN_HORIZON_S = 0.32
 
@@ -47,6 +58,7 @@ def main() -> None:
     parser.add_argument("--learn", choices=("arrivals", "visits"), default="visits")
     parser.add_argument("--rounds", type=int, default=2, metavar="N", help="rounds after the first embedding")
     parser.add_argument("--horizons", nargs="+", type=float, default=[0.16, 0.32], metavar="S")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="embeddings of each round")
     parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
     options = parser.parse_args()
     rows = read_rows(RESULTS)
@@ -60,22 +72,34 @@ def main() -> None:
     demos = plan_demos(plant.problem, options.plans, out=folder / "plans")
     folder, more = folder / options.learn, arrivals if options.learn == "arrivals" else visits
     for number in range(options.rounds + 1):
-        embedding = fit_embedding(demos, out=folder / f"embedding-{number}")
-        for horizon in options.horizons:
+        embeddings = [embedding_of(demos, folder, number, seed) for seed in range(options.seeds)]
+        for seed, horizon in itertools.product(range(options.seeds), options.horizons):
             key = {
                 "problem": options.problem,
                 "learn": options.learn,
                 "plans": str(options.plans),
                 "round": str(number),
+                "embedding_seed": str(seed),
                 "horizon_s": str(horizon),
             }
             if not any(key.items() <= row.items() for row in rows):
-                rows.append(key | test(plant, embedding, horizon, folder / f"test-{number}-{horizon}"))
+                out = folder / f"test-{number}{suffix(seed)}-{horizon}"
+                rows.append(key | test(plant, embeddings[seed], horizon, out))
                 rows[-1]["demonstrations"] = str(len(demos))
                 print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
                 write_rows(RESULTS, COLUMNS, rows)
         if number < options.rounds:
-            demos = more(plant, embedding, demos, folder / f"learn-{number}", LEARN_SEED + number)
+            demos = more(plant, embeddings[0], demos, folder / f"learn-{number}", LEARN_SEED + number)
+
+
+def embedding_of(demos: Demos, folder: Path, number: int, seed: int) -> Embedding:
+    """An embedding of the demonstrations of a round: the best of five, from seeds of its own."""
+    return fit_embedding(demos, seed=5 * seed, out=folder / f"embedding-{number}{suffix(seed)}")
+
+
+def suffix(seed: int) -> str:
+    """What marks an embedding's seed in the names of folders."""
+    return f"-seed{seed}" if seed else ""
 
 
 def test(plant: Plant, embedding: Embedding, horizon: float, out: Path) -> dict[str, str]:
@@ -127,21 +151,28 @@ def fine(plant: Plant, episode: Episode) -> Episode:
 
 
 def table(rows: list[dict[str, str]]) -> str:
-    """Success by round, one column a horizon."""
+    """Success after each round, mean and range over the embeddings, one column a horizon."""
     horizons = sorted({row["horizon_s"] for row in rows}, key=float)
     lines = [
-        "| problem | learns from | plans | round | demonstrations | "
+        "| problem | learns from | plans | round | demonstrations | embeddings | "
         + " | ".join(f"{h} s" for h in horizons)
         + " |",
-        f"|---|---|---|---|---|{'---|' * len(horizons)}",
+        f"|---|---|---|---|---|---|{'---|' * len(horizons)}",
     ]
-    cells = {(r["problem"], r["learn"], r["plans"], r["round"], r["horizon_s"]): r for r in rows}
-    for key in dict.fromkeys(cell[:4] for cell in cells):
-        found = [cells.get((*key, h)) for h in horizons]
-        known = next(row for row in found if row)
-        shown = ["" if row is None else f"{float(row['success']):.0%}" for row in found]
-        lines.append(f"| {' | '.join([*key, known['demonstrations'], *shown])} |")
+    names = ("problem", "learn", "plans", "round", "demonstrations")
+    for key in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
+        ours = [row for row in rows if tuple(row[name] for name in names) == key]
+        cells = [[float(row["success"]) for row in ours if row["horizon_s"] == h] for h in horizons]
+        seeds = len({row["embedding_seed"] for row in ours})
+        lines.append(f"| {' | '.join([*key, str(seeds), *map(mean_and_range, cells)])} |")
     return "\n".join(lines)
+
+
+def mean_and_range(values: list[float]) -> str:
+    """The mean of fractions and, if there are several, their range, in percent."""
+    if len(values) <= 1:
+        return "".join(f"{value:.0%}" for value in values)
+    return f"{np.mean(values):.0%} ({min(values):.0%} to {max(values):.0%})"
 
 
 if __name__ == "__main__":
