@@ -156,7 +156,7 @@ def test_named_commands_parse(page: str, tmp_path: Path, monkeypatch: pytest.Mon
     lines = re.findall(r"^ {4}(planspace .*|python .*)$", text, re.MULTILINE)
     lines += [code for code in re.findall(r"`(planspace [^`]+|python [^`]+)`", text.replace("\n", " "))]
     for line in lines:
-        words = shlex.split(line.partition(" # ")[0].partition(";")[0])
+        words = shlex.split(re.split(" # |;| > ", line)[0])
         if words[0] == "python":
             script = next(w for w in words[1:] if w.endswith(".py"))
             assert (ROOT / script).exists(), line
