@@ -19,7 +19,7 @@ CASES = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_actions_after_loading_in_a_new_process(embedding_folder: Path, tmp_path: Path) -> None:
     for part in ("train", "load"):
         command = [sys.executable, SCRIPT, "--part", part, embedding_folder, tmp_path, *CASES]

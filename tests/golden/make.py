@@ -15,6 +15,7 @@ import numpy as np
 from planspace.demos.load import load_demos
 from planspace.embed.config import PRESETS
 from planspace.embed.saved_embedding import load_embedding
+from planspace.rl.algorithms.sac import SAC
 from planspace.rl.config import TrainConfig
 from planspace.rl.history import load_history
 from planspace.rl.saved_policy import load_policy
@@ -27,7 +28,9 @@ from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit
 
 PLANS = PlansUnit("cartpole-swingup", 3, (("polish_max_iterations", 10), ("restarts", 1)))
 FIT = FitUnit(PLANS, replace(PRESETS["modern"], steps=60, batch=32, hidden=(16, 16)), num_seeds=1)
-POLICY = PolicyUnit("cartpole", TrainConfig(steps=8000, num_seeds=2, z="augment"), (FIT,))
+SMALL_SAC = SAC(hidden=(16, 16), critic_hidden=(16, 16), updates_per_step=0.1, normalise_obs=True)
+POLICY = PolicyUnit("cartpole", TrainConfig(SMALL_SAC, steps=2000, num_seeds=2, z="augment"), (FIT,))
+"""SAC, because its policies need the newest schema; the policies of 2026-11 are TRPO's."""
 GOLDEN = Study("golden", "smoke", "Can it be read?", (Arm("balance", "raw + z", (POLICY,)),))
 STATES = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
 OBS = np.linspace(-1.0, 1.0, 21).reshape(3, 7)

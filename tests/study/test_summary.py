@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from planspace.study.design import Arm, Claim
+from planspace.study.execute import _round_all
 from planspace.study.findings import Findings
 from planspace.study.stats import Scores
 from planspace.study.summary import summarise
@@ -19,6 +20,11 @@ def test_a_claim_is_not_finished_until_all_seeds_are_run() -> None:
     scores = Scores(tuple(range(5)), np.array([8000]), np.full((1, 5), 99.0), 0)
     found = summarise(Findings(replace(study, claims=(claim,)), {}, {RAW.name: scores}, {})).claims[0]
     assert found.verdict == "not finished" and found.number == 99.0
+
+
+def test_a_missing_measure_of_an_embedding_is_stored_as_none() -> None:
+    """The training log has None for a validation split that is too small to measure."""
+    assert _round_all([1.2345, None, float("nan")], 2) == [1.23, None, None]
 
 
 def test_returns_over_tasks_are_normalised_by_levels() -> None:

@@ -259,10 +259,10 @@ def _rounded(metrics: Metrics) -> Metrics:
 
 
 def _round_all(numbers: Any, decimals: int) -> Any:
-    """Round numbers for JSON; None for a number that is not finite."""
+    """Round numbers for JSON; None for a number that is missing or not finite."""
     if isinstance(numbers, list | tuple | np.ndarray):
         return [_round_all(x, decimals) for x in numbers]
-    return round(float(numbers), decimals) if np.isfinite(numbers) else None
+    return None if numbers is None or not np.isfinite(numbers) else round(float(numbers), decimals)
 
 
 _RUN: dict[str, Callable[[Any, Path, Path], Found]] = {

@@ -167,7 +167,7 @@ def test_a_state_named_like_another_column_is_not_exported(tmp_path: Path) -> No
     assert not (tmp_path / "x.csv").exists()
 
 
-@pytest.mark.parametrize("num", [10_001, 200_000])
+@pytest.mark.parametrize("num", [10_001, pytest.param(200_000, marks=pytest.mark.nightly)])
 def test_too_many_columns_are_refused(num: int, tmp_path: Path) -> None:
     names, row = ",".join(f"x{i}" for i in range(num)), ",".join(["0"] * num)
     with pytest.raises(PlanspaceError, match=rf"0\.csv has {num} columns; at most 10000 are allowed"):
