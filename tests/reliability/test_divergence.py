@@ -120,7 +120,7 @@ def test_training_on_diverging_physics_stays_finite(
 
     for module in (training, arm_module):
         monkeypatch.setattr(module, "collect", collect_finite)
-    config = TrainConfig(find_algorithm(algo), num_seeds=2, steps=2000, batch_steps=1000)
+    config = TrainConfig(find_algorithm(algo), num_seeds=2, steps=800, batch_steps=400)
     history = training.train_policies("cartpole-swingup", config, out=tmp_path).history
     assert np.isfinite(history["return"]).all() and not history["frozen"].any()
     assert (history["length"] < find_task("cartpole-swingup").horizon).all()  # each episode diverged
