@@ -1,14 +1,13 @@
 """Plans in training: states at which episodes start, and steps for a replay buffer."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
 from planspace.demos.load import load_demos
 from planspace.demos.state_info import StateInfo
 from planspace.envs.batch import TaskBatch
@@ -18,13 +17,12 @@ from planspace.errors import UsageError
 from planspace.mjcf.source import model_key
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
+from planspace.rl.plan_steps import plan_steps
 from planspace.rl.transitions import Transitions
 from planspace.tasks.task import Task
 
 NUM_SIMULATIONS = 256
-"""Transitions that are simulated at once; results do not depend on it."""
-TIME_TOLERANCE = 1e-6
-"""Steps by which a plan may end too early for its last transition; times are rounded."""
+"""States that are simulated or judged at once; results do not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,9 @@ class Plans:
             )
         demos = given if isinstance(given, Demos) else load_demos(given)
         _check_states(task, demos.info)
-        if config.replay:
-            _check_replay(config, observer, task, demos)
         plans = cls(config, observer, task, demos)
+        if config.replay:
+            plans._check_steps("--replay")
         if not plans._alive.any():
             raise UsageError(f"{task.name} ends an episode at every state of the plans: give other plans.")
         return plans
@@ -88,26 +86,24 @@ class Plans:
         return PlanStarts(own, self._states[self._alive], self.config.resets)
 
     def transitions(self) -> Transitions | None:
-        """One step of the task from each state of the plans; None if `replay` is 0.
-
-        The control of a step is the plan's, averaged over the step and clipped to its limits. The simulation
-        of the task gives the next state. Steps that start where an episode would have ended are left out, and
-        so are those that last beyond the end of their plan and those whose physics diverge. Targets are drawn
-        as the task draws them.
+        """Steps of the task along the plans, see `plan_steps`; None if `replay` is 0.
 
         Raises:
-            UsageError: no step remains.
+            UsageError: the plans have no such step.
         """
         if not self.config.replay:
             return None
-        rows, controls = self._controls
-        keep = self._alive[rows]
-        return self._simulate(self._states[rows[keep]], controls[keep])
+        return plan_steps(self._in_task, self._batch, self.observer, self._alive)
+
+    @cached_property
+    def _in_task(self) -> Demos:
+        """The plans with the states of the task in their order."""
+        return self.demos.select(self.task.state_names)
 
     @cached_property
     def _states(self) -> Float[np.ndarray, "row state"]:
-        """The states of all plans, in the order of the task."""
-        return self.task.space.normalise(self.demos.select(self.task.state_names).states)
+        """The states of all plans."""
+        return self.task.space.normalise(self._in_task.states)
 
     @cached_property
     def _alive(self) -> Bool[np.ndarray, " row"]:
@@ -116,55 +112,32 @@ class Plans:
         ended = [self.task.terminated(self._states[first : first + NUM_SIMULATIONS]) for first in blocks]
         return ~np.concatenate(ended)
 
-    @property
-    def _controls(self) -> tuple[Int[np.ndarray, " step"], Float[np.ndarray, "step control"]]:
-        """Row of the state and control of each step that ends within its plan."""
-        model, _ = self.task.compile()
-        duration = self.task.frame_skip * float(model.opt.timestep)
-        parts = [average_controls(self.demos.episode(i), duration) for i in range(len(self.demos))]
-        starts = self.demos.offsets[:-1]
-        rows = [start + np.arange(len(part)) for start, part in zip(starts, parts, strict=True)]
-        return np.concatenate(rows), np.concatenate(parts)
+    @cached_property
+    def _batch(self) -> TaskBatch:
+        """Simulations of the task."""
+        return TaskBatch(self.task, min(NUM_SIMULATIONS, len(self._states)), reward=self.config.reward)
 
-    def _simulate(
-        self, states: Float[np.ndarray, "step state"], controls: Float[np.ndarray, "step control"]
-    ) -> Transitions:
-        """The steps from these states with these controls."""
-        batch = TaskBatch(self.task, min(NUM_SIMULATIONS, max(1, len(states))), reward=self.config.reward)
-        low, high = batch.simulator.control_low, batch.simulator.control_high
-        actions = np.clip(controls, low, high).astype(np.float32)
-        _, targets = self.task.sample_starts(len(states), np.random.default_rng(0))
-        observe, size, parts = replace(self.observer, num_seeds=1), len(batch.states), []
-        for first in range(0, len(states), size):
-            rows = np.minimum(np.arange(first, first + size), len(states) - 1)  # the last is repeated
-            batch.reset(states[rows], targets[rows])
-            obs = observe(batch.states, batch.targets)
-            rewards, terminated, diverged = batch.step(actions[rows])
-            step = Transitions(obs, actions[rows], rewards, observe(batch.states, batch.targets), terminated)
-            kept = ~diverged[: len(states) - first]
-            parts.append([array[: len(kept)][kept] for array in step])
-        if not sum(len(part[0]) for part in parts):
-            raise UsageError("the plans have no step of the task that --replay could use: give longer plans.")
-        return Transitions(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    def _check_steps(self, option: str) -> None:
+        """Check that steps along the plans can be computed.
 
+        Args:
+            option: the option that needs them, for messages.
 
-def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "step control"]:
-    """Average the controls of a plan over a step of this duration from each of its states.
-
-    Args:
-        episode: the plan.
-        duration: the duration of a step [s].
-
-    Returns:
-        The control of each step that ends within the plan: of the first states, in order.
-    """
-    times = episode.times
-    whole = np.count_nonzero(times + duration <= times[-1] + TIME_TOLERANCE * duration)
-    ends = np.minimum(times[:whole] + duration, times[-1])
-    integral = np.zeros((len(times), episode.controls.shape[1]))
-    np.cumsum(episode.controls * np.diff(times)[:, None], axis=0, out=integral[1:])
-    after = [np.interp(ends, times, column) for column in integral.T]
-    return (np.stack(after, axis=1) - integral[:whole]) / duration
+        Raises:
+            UsageError: they cannot.
+        """
+        if not self.demos.controls.any():
+            raise UsageError(f"{option} needs the controls of the plans, but they have none: use --resets.")
+        num_controls, found = self._batch.simulator.model.nu, self.demos.info.num_controls
+        if found != num_controls:
+            raise UsageError(
+                f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
+                f"{found}: use --resets."
+            )
+        if self.config.shaping != "none":
+            raise UsageError(f"{option} has no shaping rewards: leave out --shaping, or use --resets.")
+        if (count := len(self.observer.embeddings)) > 1:
+            raise UsageError(f"{option} needs one embedding for all seeds, got {count}: use --resets.")
 
 
 def _check_states(task: Task, info: StateInfo) -> None:
@@ -183,26 +156,4 @@ def _check_states(task: Task, info: StateInfo) -> None:
     if source is not None and model_key(source) != model_key(task.source):
         raise UsageError(
             f"the plans were made with another model than that of {task.name}: give plans of the same model."
-        )
-
-
-def _check_replay(config: TrainConfig, observer: Observer, task: Task, demos: Demos) -> None:
-    """Check that transitions along plans can be computed.
-
-    Raises:
-        UsageError: they cannot.
-    """
-    num_controls = task.compile()[0].nu
-    if not demos.controls.any():
-        raise UsageError("--replay needs the controls of the plans, but they have none: use --resets.")
-    if demos.info.num_controls != num_controls:
-        raise UsageError(
-            f"--replay needs plans with the {num_controls} controls of {task.name}, but these have "
-            f"{demos.info.num_controls}: use --resets."
-        )
-    if config.shaping != "none":
-        raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")
-    if len(observer.embeddings) > 1:
-        raise UsageError(
-            f"--replay needs one embedding for all seeds, got {len(observer.embeddings)}: use --resets."
         )

@@ -14,13 +14,10 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
-from planspace.physics.simulator import Simulator
-from planspace.plan.linearise import at_rest
 from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import ShapeFn
+from planspace.rl.task_goal import fixed_goal
 from planspace.tasks.gymnasium import AnyTask
-from planspace.tasks.problem import Goal
-from planspace.tasks.problem_file import load_problem
 from planspace.tasks.task import Task
 
 NUM_STARTS = 1000
@@ -53,10 +50,9 @@ class Shaping:
         """
         if config.shaping == "none":
             return None
-        if not isinstance(task, Task):
-            raise UsageError(f"shaping needs a goal, but {task.name} has none: leave out --shaping.")
-        goal = _goal(task)
-        _, space = task.compile()
+        goal = fixed_goal(task, "--shaping")
+        assert isinstance(task, Task)
+        space = task.space
         if config.shaping == "raw":
 
             def distance(states: np.ndarray) -> np.ndarray:
@@ -106,19 +102,6 @@ class Shaping:
         """d_0 of each distance."""
         starts, _ = self.task.sample_starts(NUM_STARTS, np.random.default_rng(0))
         return [float(distance(starts).mean()) for distance in self.distances]
-
-
-def _goal(task: Task) -> Goal:
-    """The goal of the task's planning problem, with weight 0 for free activations and 1 for the rest."""
-    if task.target_size:
-        raise UsageError(f"shaping needs one goal, but {task.name} has another target in every episode.")
-    problem, space = load_problem(task.problem), task.space
-    box, weights = problem.box("goal", space), np.ones(space.tangent_size)
-    first = space.tangent_velocities.stop
-    weights[first:] = problem.weights_to_goal(space)[first:] > 0
-    center = (np.array(box.low) + np.array(box.high)) / 2
-    goal = Goal(space, center, np.zeros(space.tangent_size), weights, problem.tolerance)
-    return at_rest(Simulator(*problem.compile(), 1, threads=1), goal) if space.num_activations else goal
 
 
 def _distance_in_z(

@@ -1,0 +1,110 @@
+"""Steps of a task along plans: the plan's controls, and what the task makes of them."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.envs.batch import TaskBatch
+from planspace.errors import UsageError
+from planspace.rl.observe import Observer
+from planspace.rl.task_goal import has_goal_states
+from planspace.rl.transitions import Transitions
+
+TIME_TOLERANCE = 1e-6
+"""Steps by which a plan may end too early for its last step; times are rounded."""
+
+
+def plan_steps(
+    demos: Demos, batch: TaskBatch, observer: Observer, alive: Bool[np.ndarray, " row"]
+) -> Transitions:
+    """One step of the task from each state of the plans.
+
+    The control of a step is the plan's, averaged over the step and clipped to its limits. The simulation of
+    the task gives the next state. Steps that start where an episode would have ended are left out, and so are
+    those that last beyond the end of their plan and those whose physics diverge.
+
+    Where the task's targets are states, the target is the goal of the plan, or its last state if the goal is
+    not known. Otherwise targets are drawn as the task draws them.
+
+    Args:
+        demos: the plans, with the states of the task.
+        batch: simulations of the task.
+        observer: what policy and critic observe.
+        alive: whether an episode goes on at each state of the plans.
+
+    Raises:
+        UsageError: no step remains.
+    """
+    task, simulator = batch.task, batch.simulator
+    duration = task.frame_skip * float(simulator.model.opt.timestep)
+    parts = [average_controls(demos.episode(i), duration) for i in range(len(demos))]
+    starts = demos.offsets[:-1]
+    rows = np.concatenate([start + np.arange(len(part)) for start, part in zip(starts, parts, strict=True)])
+    kept = alive[rows]
+    if not kept.any():
+        raise _no_steps()
+    rows, controls = rows[kept], np.concatenate(parts)[kept]
+    actions = np.clip(controls, simulator.control_low, simulator.control_high).astype(np.float32)
+    states = task.space.normalise(demos.states)[rows]
+    found = _simulate(batch, replace(observer, num_seeds=1), states, actions, _targets(demos, batch, rows))
+    if not len(found.rewards):
+        raise _no_steps()
+    return found
+
+
+def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "step control"]:
+    """Average the controls of a plan over a step of this duration from each of its states.
+
+    Args:
+        episode: the plan.
+        duration: the duration of a step [s].
+
+    Returns:
+        The control of each step that ends within the plan: of the first states, in order.
+    """
+    times = episode.times
+    whole = np.count_nonzero(times + duration <= times[-1] + TIME_TOLERANCE * duration)
+    ends = np.minimum(times[:whole] + duration, times[-1])
+    integral = np.zeros((len(times), episode.controls.shape[1]))
+    np.cumsum(episode.controls * np.diff(times)[:, None], axis=0, out=integral[1:])
+    after = [np.interp(ends, times, column) for column in integral.T]
+    return (np.stack(after, axis=1) - integral[:whole]) / duration
+
+
+def _targets(
+    demos: Demos, batch: TaskBatch, rows: Int[np.ndarray, " step"]
+) -> Float[np.ndarray, "step target"]:
+    """The target of each step."""
+    if not has_goal_states(batch.task):
+        return batch.task.sample_starts(len(rows), np.random.default_rng(0))[1]
+    known = np.isfinite(demos.goals).all(axis=1, keepdims=True)
+    goals = np.where(known, demos.goals, demos.states[demos.offsets[1:] - 1])
+    return batch.task.space.normalise(goals)[np.searchsorted(demos.offsets, rows, side="right") - 1]
+
+
+def _simulate(
+    batch: TaskBatch,
+    observe: Observer,
+    states: Float[np.ndarray, "step state"],
+    actions: Float[np.ndarray, "step control"],
+    targets: Float[np.ndarray, "step target"],
+) -> Transitions:
+    """The steps from these states with these controls, without those whose physics diverge."""
+    size, parts = len(batch.states), []
+    for first in range(0, len(states), size):
+        rows = np.minimum(np.arange(first, first + size), len(states) - 1)  # the last is repeated
+        batch.reset(states[rows], targets[rows])
+        obs = observe(batch.states, batch.targets)
+        rewards, terminated, diverged = batch.step(actions[rows])
+        step = Transitions(obs, actions[rows], rewards, observe(batch.states, batch.targets), terminated)
+        kept = ~diverged[: len(states) - first]
+        parts.append([array[: len(kept)][kept] for array in step])
+    return Transitions(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _no_steps() -> UsageError:
+    """Build the error for plans without a step that can be used."""
+    return UsageError("the plans have no step of the task that could be used: give longer plans.")
