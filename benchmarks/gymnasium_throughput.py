@@ -1,6 +1,6 @@
 """Training speed on Gymnasium environments, compared with planspace's own tasks.
 
-    python benchmarks/gymnasium_throughput.py [TASK ...]
+    python benchmarks/gymnasium_throughput.py [TASK ...] [--env-workers N]
 
 For each task, one run of TRPO with five seeds measures environment steps per second of all seeds together:
 while episodes are collected, and with updates. Each is the median of the iterations after the first, which
@@ -21,7 +21,7 @@ TASKS = ("gym:Hopper-v5", "gym:InvertedPendulum-v5", "acrobot-swingup", "cartpol
 ITERATIONS = 6
 
 
-def rates(task: str) -> tuple[float, float]:
+def rates(task: str, workers: int) -> tuple[float, float]:
     """Steps per second while collecting, and of whole iterations."""
     collect, iterate = arm.collect, training._iterate
     collected, iterated, sizes = [], [], []
@@ -44,15 +44,17 @@ def rates(task: str) -> tuple[float, float]:
         mock.patch.object(arm, "collect", timed_collect),
         mock.patch.object(training, "_iterate", timed_iterate),
     ):
-        training.train_policies(task, config, verbose=False)
+        training.train_policies(task, config, env_workers=workers, verbose=False)
     return sizes[0] / float(np.median(collected[1:])), sizes[0] / float(np.median(iterated[1:]))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("tasks", nargs="*", default=TASKS, metavar="TASK")
-    for task in parser.parse_args().tasks:
-        collecting, whole = rates(task)
+    parser.add_argument("--env-workers", type=int, default=0, metavar="N", help="for Gymnasium environments")
+    args = parser.parse_args()
+    for task in args.tasks:
+        collecting, whole = rates(task, args.env_workers if task.startswith("gym:") else 0)
         print(f"{task:30}{collecting:9,.0f} steps/s collecting{whole:9,.0f} steps/s training", flush=True)
 
 

@@ -66,6 +66,19 @@ def test_what_does_not_fit_is_refused(case: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("task", "workers", "message"),
+    [
+        ("cartpole", 2, "--env-workers 2 is for Gymnasium environments, but cartpole is one batch"),
+        (PUCK, -1, "`env_workers` must be 0 or more, got -1"),
+    ],
+)
+def test_workers_that_do_not_fit_are_refused(task: Any, workers: int, message: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=message):
+        train_policies(task, CONFIG, env_workers=workers, out=tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
     ("broken", "message"),
     [
         ("error", "gym:tiny/Puck-v0 failed in `step`: RuntimeError: the rail broke"),
@@ -76,6 +89,8 @@ def test_what_does_not_fit_is_refused(case: str, tmp_path: Path) -> None:
 def test_a_broken_environment_is_named(broken: str, message: str) -> None:
     with pytest.raises(PlanspaceError, match=message):
         train_policies(replace(PUCK, kwargs={"broken": broken}), CONFIG)
+    with pytest.raises(PlanspaceError, match=message):
+        train_policies(replace(PUCK, kwargs={"broken": broken}), CONFIG, env_workers=1)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from planspace.tasks.catalog import TASKS
 from planspace.tasks.env_state import state_reader
 from planspace.tasks.gymnasium import GymTask
 
-from . import tiny_gym_envs  # noqa: F401  registers them
+from . import tiny_gym_envs
 
 PUCK = GymTask("tiny/Puck-v0")
 PENDULUM = "gym:InvertedPendulum-v5"
@@ -116,6 +116,24 @@ def test_a_seed_does_not_depend_on_the_other_seeds(z: bool, embedding: Embedding
     for key in together.keys() - {"steps", "eval_steps"}:
         np.testing.assert_array_equal(together[key][:, 2], single[key][:, 0])  # bit for bit
     assert (together["return"][:, 1] != together["return"][:, 2]).all()
+
+
+def test_workers_give_the_same_results_bit_for_bit(tmp_path: Path) -> None:
+    """Five environments in three workers; the run does not record the workers, so it is found again."""
+    class_of_a_script = type("Sliding", (tiny_gym_envs.Puck,), {"__module__": "__main__"})
+    gymnasium.register("tiny/Sliding-v0", class_of_a_script, max_episode_steps=20)  # unknown to a worker
+    task, config = GymTask("tiny/Sliding-v0"), replace(CONFIG, num_seeds=1, steps=200)
+    one = train_policies(task, config, out=tmp_path / "one")
+    several = train_policies(task, config, env_workers=3, out=tmp_path / "several")
+    assert one.history["return"].std() > 0
+    for key, numbers in one.history.items():
+        np.testing.assert_array_equal(several.history[key], numbers)
+    assert (tmp_path / "one/config.json").read_bytes() == (tmp_path / "several/config.json").read_bytes()
+
+
+def test_a_worker_that_dies_ends_training_with_its_exit_code() -> None:
+    with pytest.raises(PlanspaceError, match=r"worker process .* ended unexpectedly \(exit code 7\)"):
+        train_policies(replace(PUCK, kwargs={"broken": "exit"}), CONFIG, env_workers=2)
 
 
 def test_an_embedding_must_find_its_inputs(embedding: Embedding) -> None:

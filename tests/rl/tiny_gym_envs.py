@@ -1,5 +1,6 @@
 """Small Gymnasium environments: importing this module registers them."""
 
+import os
 from typing import Any
 
 import gymnasium
@@ -32,6 +33,8 @@ class Puck(gymnasium.Env):
             raise RuntimeError("the rail\nbroke")
         self.v += 0.1 * self.push * float(action[0, 0])
         self.x += 0.1 * self.v
+        if self.broken == "exit":
+            os._exit(7)
         if self.broken == "nan" and abs(self.x) > 0.5:
             self.x = np.nan
         reward = float("inf") if self.broken == "reward" else -abs(self.x)

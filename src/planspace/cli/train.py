@@ -32,7 +32,10 @@ if TYPE_CHECKING:
 
 RECORDED = ("task", "task_sha256", "environment", "embeddings", "plans", "versions", "preset")
 """What a run's config.json records besides settings."""
-GYM_HELP = "Gymnasium steps its environments one after another, which is slower than planspace's own tasks."
+GYM_HELP = (
+    "Gymnasium steps its environments one after another, which is slower than planspace's own tasks; "
+    "--env-workers shares them among processes."
+)
 TASK_HELP = (
     f"One of {', '.join(task_names())}; FILE.yaml, your own problem file; gym:ID, a Gymnasium environment; "
     f"or module.py:NAME, your own Task or GymTask. {GYM_HELP}"
@@ -59,6 +62,9 @@ class Train:
     spread over seeds includes the spread over embeddings."""
     plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """A dataset of plans, for --resets and --replay."""
+    env_workers: Annotated[int, arg(metavar="N")] = 0
+    """Processes that step a Gymnasium environment (gym:ID). 0 steps it in this process; the results are the
+    same."""
     track: UseAppendAction[Annotated[tuple[TrackerName, ...], arg(metavar="{tensorboard,wandb}")]] = ()
     """Also write the curves for TensorBoard (DIR/tensorboard) or Weights & Biases (extra `track`). W&B works
     offline in DIR/wandb unless you are logged in. history.safetensors and log.jsonl are always written."""
@@ -97,7 +103,13 @@ class Train:
         embeddings = [load_embedding(folder) for folder in self.embedding]
         use_compilation_cache()
         trained = train_policies(
-            task, self.config, embedding=embeddings, plans=self.plans, out=self.out, track=self.track
+            task,
+            self.config,
+            embedding=embeddings,
+            plans=self.plans,
+            out=self.out,
+            track=self.track,
+            env_workers=self.env_workers,
         )
         self._draw_curve(trained, self.out)
         if diverged := [str(row.seed) for row in trained.returns if row.diverged]:

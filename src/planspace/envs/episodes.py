@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.envs.batch import TaskBatch
-from planspace.envs.gymnasium_env import GymTaskEnv
+from planspace.envs.gymnasium_groups import Group, LocalGroup, WorkerGroup
 from planspace.tasks.gymnasium import AnyTask, GymTask
 from planspace.tasks.observation_types import RewardType
 from planspace.tasks.task import Task
@@ -74,9 +74,18 @@ class Episodes(Protocol):
         ...
 
 
-def make_episodes(task: AnyTask, num: int, reward: RewardType = "dense") -> Episodes:
-    """Make the environments for `num` episodes of a task, of all seeds together."""
-    return GymEpisodes(task, num) if isinstance(task, GymTask) else TaskEpisodes(task, num, reward)
+def make_episodes(task: AnyTask, num: int, reward: RewardType = "dense", workers: int = 0) -> Episodes:
+    """Make the environments for `num` episodes of a task, of all seeds together.
+
+    Args:
+        task: the task.
+        num: number of episodes.
+        reward: the reward type.
+        workers: number of processes that step a Gymnasium environment; 0 steps them in this process.
+    """
+    if isinstance(task, GymTask):
+        return GymEpisodes(task, num, workers)
+    return TaskEpisodes(task, num, reward)
 
 
 class TaskEpisodes:
@@ -131,17 +140,18 @@ class TaskEpisodes:
 
 
 class GymEpisodes:
-    """Episodes of a Gymnasium environment, which are stepped one after another in this process."""
+    """Episodes of a Gymnasium environment, which are stepped one after another or in worker processes."""
 
-    def __init__(self, task: GymTask, num: int):
+    def __init__(self, task: GymTask, num: int, workers: int = 0):
         """Make the environments; `reset` starts the episodes.
 
         Args:
             task: the task.
             num: number of environments.
+            workers: number of processes that step them; 0 steps them in this process.
         """
         self.task = task
-        self._envs = [GymTaskEnv(task) for _ in range(num)]
+        self._group: Group = WorkerGroup(task, num, workers) if workers else LocalGroup(task, num)
         self.states = np.zeros((num, len(task.state_names)))
         self.targets = np.zeros((num, 0))
 
@@ -154,25 +164,22 @@ class GymEpisodes:
         self, rngs: Sequence[np.random.Generator], ended: Bool[np.ndarray, "seed env"] | None = None
     ) -> None:
         """Start every episode, or those that ended, each with a seed drawn from its stream."""
-        by_seed = np.arange(len(self._envs)).reshape(len(rngs), -1)
-        for s, rng in enumerate(rngs):
-            ids = by_seed[s] if ended is None else by_seed[s][ended[s]]
-            for i, seed in zip(ids, rng.integers(NUM_SEEDS, size=len(ids)), strict=True):
-                self._envs[i].reset(seed=int(seed))
-                self.states[i] = self._envs[i].state
+        by_seed = np.arange(len(self.states)).reshape(len(rngs), -1)
+        ids = [by_seed[s] if ended is None else by_seed[s][ended[s]] for s in range(len(rngs))]
+        seeds = [rng.integers(NUM_SEEDS, size=len(i)) for i, rng in zip(ids, rngs, strict=True)]
+        started = np.concatenate(ids)
+        self.states[started] = self._group.reset(started, np.concatenate(seeds))
 
     def step(self, actions: Float[np.ndarray, "env action"]) -> Steps:
         """Take one step in every episode; one whose action is not finite is cut before the step."""
         rewards = np.zeros(len(actions))
         terminated, truncated = np.zeros((2, len(actions)), bool)
         can_act, states = np.isfinite(actions).all(axis=1), self.states.copy()
-        for i in np.flatnonzero(can_act):
-            _, rewards[i], terminated[i], truncated[i], _ = self._envs[i].step(actions[i])
-            states[i] = self._envs[i].state
+        ids = np.flatnonzero(can_act)
+        states[ids], rewards[ids], terminated[ids], truncated[ids] = self._group.step(ids, actions[ids])
         self.states = states
         return Steps(rewards, terminated, truncated & ~terminated, np.logical_not(can_act))
 
     def close(self) -> None:
         """Close the environments."""
-        for env in self._envs:
-            env.close()
+        self._group.close()

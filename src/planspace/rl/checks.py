@@ -6,13 +6,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from planspace.errors import UsageError, quoted
+from planspace.errors import UsageError, check_setting, quoted
 from planspace.rl.algorithm import HOW_TO
 from planspace.rl.arm import Arm
 from planspace.rl.config import TrainConfig
 from planspace.rl.policy_network import PolicyNetwork
 from planspace.rl.rollout import Rollout
 from planspace.seams import name_of
+from planspace.tasks.gymnasium import AnyTask, GymTask
 
 
 def check_replay(config: TrainConfig) -> None:
@@ -26,6 +27,20 @@ def check_replay(config: TrainConfig) -> None:
             f"--replay {config.replay:g} needs an algorithm with a replay buffer, but "
             f"{name_of(config.algorithm)} has none: leave out --replay, or use --resets. An algorithm of "
             f"your own says `replays = True`; see {HOW_TO}."
+        )
+
+
+def check_env_workers(task: AnyTask, workers: int) -> None:
+    """Check that the environments of a task can be stepped by this number of processes.
+
+    Raises:
+        UsageError: the number is not a whole number of at least 0, or the task is planspace's own.
+    """
+    check_setting("env_workers", workers, type(workers) is int and workers >= 0, "0 or more")
+    if workers and not isinstance(task, GymTask):
+        raise UsageError(
+            f"--env-workers {workers} is for Gymnasium environments, but {task.name} is one batch of "
+            "physics, which already uses every core: leave it out."
         )
 
 

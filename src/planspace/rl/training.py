@@ -23,6 +23,7 @@ from planspace.rl.algorithms import find_algorithm
 from planspace.rl.arm import Arm
 from planspace.rl.checks import (
     all_finite,
+    check_env_workers,
     check_replay,
     checked_names,
     checked_network,
@@ -95,6 +96,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     plans: Demos | str | Path | None = None,
     out: str | Path | None = None,
     track: Sequence[TrackerName] = (),
+    env_workers: int = 0,
     verbose: bool = True,
 ) -> TrainedPolicies:
     """Train policies on a task, all seeds at once.
@@ -114,6 +116,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
             `replay`.
         out: the run's folder; without it, policies are stored in a temporary folder.
         track: also send the learning curves to `tensorboard` or `wandb`.
+        env_workers: number of processes that step a Gymnasium environment; 0 steps it in this process. The
+            results are the same. planspace's own tasks have none, because they are one batch of physics.
         verbose: show the progress.
 
     Raises:
@@ -123,6 +127,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     task = find_training_task(task)
     config = _with_algorithm(config or TrainConfig(), algorithm)
     check_replay(config)
+    check_env_workers(task, env_workers)
     find_name(f"reward type of {task.name}", config.reward, task.reward_types)
     find_name(f"observation type of {task.name}", config.obs, task.obs_types)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
@@ -140,7 +145,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:
-            episodes = make_episodes(task, num, config.reward)
+            episodes = make_episodes(task, num, config.reward, env_workers)
             with contextlib.closing(episodes), progress_shown(verbose):
                 arm = Arm(config, observer, episodes, shaping)
                 history = _train(arm if used is None else _with_plans(arm, used), given, run, track)

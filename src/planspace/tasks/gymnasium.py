@@ -128,7 +128,7 @@ class GymTask:
     @property
     def versions(self) -> dict[str, str]:
         """Versions of Gymnasium and of the packages that provide the environment."""
-        return provider_versions(self._env_id)
+        return provider_versions(self.registered_id)
 
     def make(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
         """Make one environment.
@@ -140,7 +140,7 @@ class GymTask:
             UsageError: Gymnasium does not know the id, or the environment cannot be made.
             PlanspaceError: a package is missing.
         """
-        env_id, arguments = self._env_id, dict(self.kwargs)
+        env_id, arguments = self.registered_id, dict(self.kwargs)
         if self.max_episode_steps is not None:
             arguments["max_episode_steps"] = self.max_episode_steps
         if render_mode is not None:
@@ -170,8 +170,13 @@ class GymTask:
             env.close()
 
     @cached_property
-    def _env_id(self) -> str:
-        """The id under which Gymnasium has it."""
+    def registered_id(self) -> str:
+        """The id under which Gymnasium has it.
+
+        Raises:
+            UsageError: Gymnasium does not know the id.
+            PlanspaceError: a package is missing.
+        """
         return registered_id(self.id, self.name)
 
     def _action_limits(self, actions: gymnasium.Space[Any]) -> tuple[np.ndarray, np.ndarray]:
