@@ -18,9 +18,16 @@ from typing import Any, TypeVar
 from planspace.errors import UsageError, did_you_mean, quoted, unknown
 
 Seam = TypeVar("Seam")
-UNSET_IF_NONE = {"unset": None}
+
+
+def unset_if(default: Any) -> dict[str, Any]:
+    """The metadata of a dataclass field that `plain_settings` leaves out at this value."""
+    return {"unset": default}
+
+
+UNSET_IF_NONE = unset_if(None)
 """The metadata of a dataclass field that `plain_settings` leaves out if it is None."""
-UNSET_IF_ZERO = {"unset": 0.0}
+UNSET_IF_ZERO = unset_if(0.0)
 """The metadata of a dataclass field that `plain_settings` leaves out if it is 0."""
 
 
@@ -150,7 +157,7 @@ def plain_settings(value: Any) -> Any:
 
     Dataclasses become mappings of their fields. A seam object also records its `name`, and one that is not
     shipped records the SHA-256 of its source, so that changed code is a changed setting. A field with
-    `UNSET_IF_NONE` or `UNSET_IF_ZERO` is left out at that value, as in files of versions without the field.
+    the metadata `unset_if` is left out at that value, as in files of versions without the field.
     """
     if is_dataclass(value) and not isinstance(value, type):
         given = {f.name: getattr(value, f.name) for f in fields(value) if not _is_unset(f, value)}

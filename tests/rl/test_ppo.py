@@ -59,7 +59,7 @@ def test_each_epoch_uses_every_sample_once(
     numbered = eqx.tree_at(lambda b: b.obs, batch, jnp.arange(120.0)[:, None] * jnp.ones(3))
     counting = eqx.tree_at(lambda p: p.log_std, policy, jnp.zeros(120))
 
-    def count(policy: GaussianPolicy, adam: tuple, batch: ppo.Batch, config: PPO) -> tuple:
+    def count(policy: GaussianPolicy, adam: tuple, batch: ppo.Batch, *_: object) -> tuple:
         seen = policy.log_std.at[batch.obs[:, 0].astype(int)].add(1.0)
         return eqx.tree_at(lambda p: p.log_std, policy, seen), adam
 

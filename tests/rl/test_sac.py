@@ -19,6 +19,7 @@ from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.export import export_policies
 from planspace.rl.observe import Observer
 from planspace.rl.policy_network import Actor
+from planspace.rl.run_setup import with_algorithm
 from planspace.rl.sac_agent import SACState, _with_more
 from planspace.rl.sac_update import Batch, critic_targets, new_learner
 from planspace.rl.training import train_policies
@@ -156,7 +157,7 @@ def test_nothing_is_updated_before_learning_starts() -> None:
 def test_the_default_of_batch_steps_is_the_algorithms() -> None:
     assert TrainConfig().batch_steps == BATCH_STEPS == 4000
     assert TrainConfig(SAC()).batch_steps == 1000
-    change = training._with_algorithm
+    change = with_algorithm
     assert change(TrainConfig(), "sac").batch_steps == 1000
     assert change(TrainConfig(batch_steps=600), "sac").batch_steps == 600
 

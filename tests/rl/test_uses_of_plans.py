@@ -8,10 +8,12 @@ import pytest
 from planspace.cli import main
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
+from planspace.demos.search_tree import SearchTree
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.envs.episodes import TaskEpisodes
+from planspace.envs.plan_starts import PlanStarts
 from planspace.envs.task import TaskEnv
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.simulator import Simulator
@@ -92,6 +94,48 @@ def test_a_seed_does_not_depend_on_the_others(demos: Demos) -> None:
         np.testing.assert_array_equal(together[name][:, 1], alone[name][:, 0])
     without = train_policies(TASK, replace(QUICK, seed=1, resets=0.0)).history
     assert (without["return"] != alone["return"]).any()
+
+
+def drawn_at(plans: Plans, done: float) -> np.ndarray:
+    """Starts when this fraction of training is done."""
+    started = plans.episodes(TaskEpisodes(TASKS[TASK], 300))
+    assert isinstance(started, PlanStarts)
+    moved = started.at(done)
+    moved.reset([np.random.default_rng(0)])
+    return moved.states
+
+
+def test_a_reverse_curriculum_moves_from_the_ends_of_plans_to_their_starts(demos: Demos) -> None:
+    config = replace(QUICK, resets=1.0, reset_schedule="reverse")
+    plans, durations = plans_of(config, demos), demos.times[demos.offsets[1:] - 1]
+    left = 1.0 - demos.times / np.repeat(durations, np.diff(demos.offsets))
+    for done, part in ((0.0, 0.1), (0.25, 0.55), (0.5, 1.0), (0.9, 1.0)):
+        starts = drawn_at(plans, done)
+        rows = (starts[:, None] == demos.states).all(axis=2).argmax(axis=1)
+        np.testing.assert_array_equal(starts, demos.states[rows])
+        assert 0.9 * part < left[rows].max() <= part + 1e-9
+
+
+def test_training_moves_the_curriculum(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved, at = [], PlanStarts.at
+    monkeypatch.setattr(PlanStarts, "at", lambda self, done: (moved.append(done), at(self, done))[1])
+    train_policies(TASK, replace(QUICK, reset_schedule="reverse"), plans=demos)
+    assert moved == [0.0, 0.5]
+
+
+def test_starts_are_drawn_from_search_trees_and_from_both(demos: Demos) -> None:
+    nodes = [demos.episode(i).states[:3] + 0.01 for i in range(len(demos))]
+    trees = tuple(SearchTree(x, np.array([-1, 0, 0]), np.array([0.0, 0.1, 0.1])) for x in nodes)
+    grown, fraction = replace(demos, trees=trees), {}
+    for states in ("plans", "trees", "both"):
+        starts = drawn_at(plans_of(replace(QUICK, resets=1.0, reset_states=states), grown), 0.0)
+        from_trees = (starts[:, None] == np.concatenate(nodes)).all(axis=2).any(axis=1)
+        from_plans = (starts[:, None] == demos.states).all(axis=2).any(axis=1)
+        assert (from_trees ^ from_plans).all()
+        fraction[states] = from_trees.mean()
+    assert fraction["plans"] == 0 and fraction["trees"] == 1 and 0.4 < fraction["both"] < 0.6
+    with pytest.raises(UsageError, match="--reset-states trees needs search trees, but these plans have"):
+        plans_of(replace(QUICK, reset_states="trees"), demos)
 
 
 def test_without_resets_the_environments_are_those_of_earlier_versions(demos: Demos) -> None:

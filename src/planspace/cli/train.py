@@ -61,7 +61,7 @@ class Train:
     """Embedding folders that provide z. With several, seed s uses number s modulo their count, so that the
     spread over seeds includes the spread over embeddings."""
     plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """A dataset of plans, for --resets and --replay."""
+    """A dataset of plans, for --resets, --replay, --clone and --clone-weight."""
     env_workers: Annotated[int, arg(metavar="N")] = 0
     """Processes that step a Gymnasium environment (gym:ID). 0 steps it in this process; the results are the
     same."""

@@ -1,12 +1,39 @@
 """Episodes of which a fraction starts at states of plans."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.envs.episodes import Episodes, Steps, TaskEpisodes
 from planspace.tasks.task import Task
+
+FIRST_PART = 0.1
+"""Last part of each plan in which episodes start at the beginning of a reverse curriculum."""
+WHOLE_AFTER = 0.5
+"""Fraction of training after which a reverse curriculum starts episodes anywhere on a plan."""
+
+
+@dataclass(frozen=True)
+class StartStates:
+    """States at which episodes start."""
+
+    states: Float[np.ndarray, "start state"]
+    remaining: Float[np.ndarray, " start"] | None = None
+    """Fraction of its plan that is left at each state, in ascending order, for a reverse curriculum: states
+    with a small one come first in training. None draws from all states from the beginning."""
+
+    def num_at(self, done: float) -> int:
+        """Number of states, from the first on, from which starts are drawn.
+
+        Args:
+            done: fraction of training that is done.
+        """
+        if self.remaining is None:
+            return len(self.states)
+        part = FIRST_PART + (1.0 - FIRST_PART) * min(1.0, done / WHOLE_AFTER)
+        return max(1, int(np.searchsorted(self.remaining, part, side="right")))
 
 
 class PlanStarts:
@@ -15,16 +42,21 @@ class PlanStarts:
     A start at a state of a plan keeps the target that the task drew for the episode.
     """
 
-    def __init__(self, own: TaskEpisodes, states: Float[np.ndarray, "start state"], fraction: float):
+    def __init__(self, own: TaskEpisodes, starts: StartStates, fraction: float, done: float = 0.0):
         """Draw starts from plans, too.
 
         Args:
             own: the episodes, which start as the task says.
-            states: the states of plans, from which starts are drawn uniformly.
+            starts: the states of plans, from which starts are drawn uniformly.
             fraction: probability that an episode starts at one of them.
+            done: fraction of training that is done.
         """
         self.own = own
-        self._starts, self._fraction = states, fraction
+        self._starts, self._fraction, self._num = starts, fraction, starts.num_at(done)
+
+    def at(self, done: float) -> "PlanStarts":
+        """The same environments when this fraction of training is done."""
+        return PlanStarts(self.own, self._starts, self._fraction, done)
 
     @property
     def task(self) -> Task:
@@ -57,9 +89,9 @@ class PlanStarts:
             started = by_seed[s] if ended is None else by_seed[s][ended[s]]
             chosen = started[rng.random(len(started)) < self._fraction]
             ids.append(chosen)
-            rows.append(rng.integers(len(self._starts), size=len(chosen)))
+            rows.append(rng.integers(self._num, size=len(chosen)))
         index = np.concatenate(ids)
-        self.own.batch.reset(self._starts[np.concatenate(rows)], self.targets[index], index)
+        self.own.batch.reset(self._starts.states[np.concatenate(rows)], self.targets[index], index)
 
     def step(self, actions: Float[np.ndarray, "env action"]) -> Steps:
         """Take one step in every episode."""

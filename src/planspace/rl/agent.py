@@ -19,10 +19,11 @@ from planspace.rl.advantage import discounted_returns, gae
 from planspace.rl.algorithm import Diverged
 from planspace.rl.algorithms.on_policy import OnPolicy
 from planspace.rl.arm import Arm
+from planspace.rl.cloning import PENALTY_ROWS, Examples, action_scale, imitate
 from planspace.rl.critic import Critic, make_critic
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.observe import Observer
-from planspace.rl.policy import UNIT_ENTROPY, GaussianPolicy, UpdateInfo
+from planspace.rl.policy import UNIT_ENTROPY, GaussianPolicy, UpdateInfo, mean_action
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.rollout import Rollout
 
@@ -44,6 +45,8 @@ class Samples(NamedTuple):
     obs: Float[np.ndarray, "time env obs"]
     actions: Float[np.ndarray, "time env action"]
     advantages: Float[np.ndarray, "time env"]
+    examples: Examples | None = None
+    """Controls of plans, for a penalty; None without."""
 
 
 RECORDED = ("kl", "entropy", "loss", "improvement", "skipped")
@@ -105,6 +108,21 @@ def matched(hidden: tuple[int, ...], num_obs: int, num_more: int, num_outputs: i
     return tuple(n + extra for n in hidden)
 
 
+def clone(settings: OnPolicy, arm: Arm, state: AgentState, *, key: Key[Array, ""]) -> AgentState:
+    """The state after gradient steps that bring the mean action to the controls of plans.
+
+    Observations are then standardised as those of the plans. The standard deviation of actions stays.
+    """
+    assert arm.plan_transitions is not None
+    statistics = state.statistics
+    if settings.normalise_obs:
+        statistics = statistics.with_more(arm.plan_transitions.obs)
+    seen = AgentState(state.policy, state.optimiser, state.critic, statistics)
+    examples = _examples(settings, arm, seen)
+    policy = imitate(state.policy, mean_action, examples, arm.config.clone, key=key)
+    return AgentState(policy, state.optimiser, state.critic, statistics)
+
+
 def collect(
     settings: OnPolicy, arm: Arm, states: Sequence[AgentState], rngs: Sequence[np.random.Generator]
 ) -> Rollout:
@@ -145,6 +163,9 @@ def update(
     advantages, returns = estimates(settings, state.policy, rollout, value, next_value)
     obs = _inputs(settings, state, rollout.obs)
     samples = Samples(obs[..., arm.observer.policy_columns], rollout.actions, advantages)
+    if arm.clone_weight > 0:
+        drawn = _examples(settings, arm, state).drawn(PENALTY_ROWS, key=jr.fold_in(key, 0))
+        samples = samples._replace(examples=drawn)
     policy, optimiser, info = improve(state, samples, policy_key)
     critic = state.critic.fitted(
         _rows(obs[..., arm.observer.critic_columns]), rollout.step.ravel(), returns.ravel(), key=critic_key
@@ -227,6 +248,14 @@ def _inputs(
 ) -> Float[np.ndarray, "*batch obs"]:
     """The inputs of the networks: observations, standardised if `normalise_obs` is set."""
     return state.statistics(obs) if settings.normalise_obs else obs
+
+
+def _examples(settings: OnPolicy, arm: Arm, state: AgentState) -> Examples:
+    """The controls of plans as the policy of a seed is to imitate them."""
+    steps = arm.plan_transitions
+    assert steps is not None
+    obs = _inputs(settings, state, steps.obs)[:, arm.observer.policy_columns]
+    return Examples(obs, steps.actions, action_scale(arm), np.asarray(arm.clone_weight, np.float32))
 
 
 def _rows(x: np.ndarray) -> np.ndarray:

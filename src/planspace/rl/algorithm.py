@@ -47,6 +47,11 @@ class Algorithm(Protocol):
 
     An algorithm with the class attribute `replays = True` takes the fraction `arm.config.replay` of each
     minibatch from `arm.plan_transitions`, if it is not None. Training refuses `replay` for any other one.
+    One with the class attribute `clones = True` has the method `clone(arm, state, *, key)`, which returns the
+    state of a seed after `arm.config.clone` gradient steps that bring the policy's mean action to the actions
+    in `arm.plan_transitions`. While `arm.clone_weight` is above 0, its update adds the mean squared error of
+    the mean action with this weight to the policy's loss. Training refuses `clone` and `clone_weight` for any
+    other algorithm.
     The class attributes `batch_steps` and `steps_a_second` give the default steps of an iteration and the
     speed from which studies estimate durations.
     """

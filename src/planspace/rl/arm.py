@@ -1,11 +1,12 @@
-"""What an algorithm trains on: the environments of all seeds, and their observations and their rewards."""
+"""What an algorithm trains on: the environments of all seeds, their observations and their rewards."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from planspace.envs.episodes import Episodes
+from planspace.envs.plan_starts import PlanStarts
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.rollout import ActFn, Rollout, collect
@@ -16,7 +17,10 @@ from planspace.tasks.gymnasium import AnyTask
 
 @dataclass(frozen=True)
 class Arm:
-    """A task as an algorithm sees it, with the environments of all seeds; it does not change in training."""
+    """A task as an algorithm sees it, with the environments of all seeds.
+
+    In training, only `done` changes, and with it the states at which episodes start.
+    """
 
     config: TrainConfig
     """The settings of the run."""
@@ -28,7 +32,21 @@ class Arm:
     shaping: Shaping | None = None
     """The shaping reward, if there is any."""
     plan_transitions: Transitions | None = None
-    """Transitions along plans, the same for each seed; None unless `config.replay` is above 0."""
+    """Transitions along plans, the same for each seed; None unless `config` has `replay`, `clone` or
+    `clone_weight`."""
+    done: float = 0.0
+    """Fraction of training that is done."""
+
+    def at(self, done: float) -> "Arm":
+        """The arm when this fraction of training is done."""
+        episodes = self.episodes
+        moved = episodes.at(done) if isinstance(episodes, PlanStarts) else episodes
+        return replace(self, episodes=moved, done=done)
+
+    @property
+    def clone_weight(self) -> float:
+        """Weight of the penalty for actions that differ from the controls of plans, at present."""
+        return self.config.clone_weight * max(0.0, 1.0 - self.done / self.config.clone_decay)
 
     @property
     def task(self) -> AnyTask:

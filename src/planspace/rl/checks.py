@@ -16,12 +16,20 @@ from planspace.seams import name_of
 from planspace.tasks.gymnasium import AnyTask, GymTask
 
 
-def check_replay(config: TrainConfig) -> None:
+def check_uses_of_plans(config: TrainConfig) -> None:
     """Check that the algorithm can use transitions along plans, if it is to.
 
     Raises:
-        UsageError: `replay` is above 0, but the algorithm does not have the class attribute `replays = True`.
+        UsageError: `replay` is above 0, but the algorithm does not have the class attribute `replays = True`;
+            or `clone` or `clone_weight` is, but it does not have `clones = True`.
     """
+    for name in ("clone", "clone_weight"):
+        if getattr(config, name) and not getattr(config.algorithm, "clones", False):
+            raise UsageError(
+                f"--{name.replace('_', '-')} {getattr(config, name):g} needs an algorithm that can imitate "
+                f"plans, but {name_of(config.algorithm)} cannot: leave it out, or use --resets. An algorithm "
+                f"of your own says `clones = True`; see {HOW_TO}."
+            )
     if config.replay and not getattr(config.algorithm, "replays", False):
         raise UsageError(
             f"--replay {config.replay:g} needs an algorithm with a replay buffer, but "
@@ -44,8 +52,8 @@ def check_env_workers(task: AnyTask, workers: int) -> None:
         )
 
 
-def checked_state(state: Any) -> Any:
-    """The result of `Algorithm.init`.
+def checked_state(state: Any, method: str = "init") -> Any:
+    """The result of `Algorithm.init`, or of another method.
 
     Raises:
         UsageError: a number is not finite, or is not an array; checkpoints save arrays only.
@@ -54,12 +62,12 @@ def checked_state(state: Any) -> Any:
         where = jax.tree_util.keystr(path)
         if isinstance(leaf, bool | int | float | complex | np.generic):
             raise _misfit(
-                "init", f"arrays only; np.array({leaf!r}) would do", f"{leaf!r} at {where or 'the top'}"
+                method, f"arrays only; np.array({leaf!r}) would do", f"{leaf!r} at {where or 'the top'}"
             )
         if hasattr(leaf, "dtype") and jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            raise _misfit("init", "no random keys; `update` gets one", f"a key at {where or 'the top'}")
+            raise _misfit(method, "no random keys; `update` gets one", f"a key at {where or 'the top'}")
     if not all_finite(state):
-        raise _misfit("init", "finite numbers", "NaN or infinity")
+        raise _misfit(method, "finite numbers", "NaN or infinity")
     return state
 
 
@@ -77,8 +85,8 @@ def checked_rollout(rollout: Any, arm: Arm) -> Rollout:
     return rollout
 
 
-def checked_update(result: Any, before: Any) -> tuple[Any, dict[str, float]]:
-    """The result of `Algorithm.update`.
+def checked_update(result: Any, before: Any, method: str = "update") -> tuple[Any, dict[str, float]]:
+    """The result of `Algorithm.update`, or of another method that returns a state.
 
     Raises:
         UsageError: it is not a pair of a state with the structure of the one before and numbers by name.
@@ -88,12 +96,12 @@ def checked_update(result: Any, before: Any) -> tuple[Any, dict[str, float]]:
     state, numbers = result
     old, new = jax.tree.structure(before), jax.tree.structure(state)
     if old != new:
-        raise _misfit("update", f"a state of the structure that `init` returned, {old}", f"{new}")
+        raise _misfit(method, f"a state of the structure that `init` returned, {old}", f"{new}")
     leaves = zip(jax.tree.leaves_with_path(before), jax.tree.leaves(state), strict=True)
     for (path, a), b in leaves:
         if _kind(a) != _kind(b):
             where = jax.tree_util.keystr(path) or "its only array"
-            raise _misfit("update", f"{where} with {_kind(a)}, as `init` did", _kind(b))
+            raise _misfit(method, f"{where} with {_kind(a)}, as `init` did", _kind(b))
     for name, number in numbers.items():
         if not isinstance(name, str) or not name.isidentifier() or np.ndim(number) != 0:
             got = f"{quoted(number)} as {quoted(name)}"

@@ -9,7 +9,7 @@ from tyro.conf import arg
 from planspace.errors import UsageError, check_setting, unknown
 from planspace.rl.algorithm import HOW_TO, Algorithm
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.seams import UNSET_IF_ZERO, check_fits, with_settings
+from planspace.seams import UNSET_IF_ZERO, check_fits, unset_if, with_settings
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
@@ -19,6 +19,8 @@ BATCH_STEPS = 4000
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
 ShapingType = Literal["none", "z", "raw"]
+ResetStates = Literal["plans", "trees", "both"]
+ResetSchedule = Literal["uniform", "reverse"]
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,22 @@ class TrainConfig:
     resets: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Fraction of the training episodes that start at states of plans. Evaluations always start as the task
     says."""
+    reset_states: ResetStates = field(default="plans", metadata=unset_if("plans"))
+    """Where the episodes of `resets` start: at states of `plans`, of the search `trees` that were kept with
+    them, or, half of the episodes each, of `both`."""
+    reset_schedule: ResetSchedule = field(default="uniform", metadata=unset_if("uniform"))
+    """`uniform`: at states of whole plans. `reverse`: at the last tenth of each plan at first, then from ever
+    earlier states on; in the second half of training, as `uniform`."""
     replay: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Fraction of each minibatch that consists of transitions along plans; for algorithms with a replay
     buffer."""
+    clone: int = field(default=0, metadata=UNSET_IF_ZERO)
+    """Gradient steps before training that bring the policy's mean action to the controls of plans."""
+    clone_weight: float = field(default=0.0, metadata=UNSET_IF_ZERO)
+    """Weight of a penalty in the policy's loss: the squared difference of its mean action from the controls
+    of plans."""
+    clone_decay: float = field(default=0.5, metadata=unset_if(0.5))
+    """Fraction of training over which the penalty decreases linearly to 0."""
     num_seeds: Annotated[int, arg(aliases=("--seeds",))] = 5
     """Number of seeds."""
     seed: int = 0
@@ -76,6 +91,8 @@ class TrainConfig:
             "z_to": ZTarget,
             "reward": RewardType,
             "shaping": ShapingType,
+            "reset_states": ResetStates,
+            "reset_schedule": ResetSchedule,
         }
         for name, known in names.items():
             if getattr(self, name) not in get_args(known):
@@ -86,9 +103,37 @@ class TrainConfig:
         check_setting("shaping_scale", scale, 0 < scale < math.inf, "above 0 and finite")
         for name in ("resets", "replay"):
             check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
-        for least, names in enumerate((("seed", "eval_every"), ("num_seeds", "steps", "batch_steps"))):
+        self._check_uses_of_plans()
+        for least, names in enumerate(
+            (("seed", "eval_every", "clone"), ("num_seeds", "steps", "batch_steps"))
+        ):
             for name in names:
                 check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
+
+    def _check_uses_of_plans(self) -> None:
+        """Check the settings of resets and cloning.
+
+        Raises:
+            UsageError: a number is out of its range, or a setting has no effect.
+        """
+        weight, decay = self.clone_weight, self.clone_decay
+        check_setting("clone_weight", weight, 0 <= weight < math.inf, "at least 0 and finite")
+        check_setting("clone_decay", decay, 0 < decay <= 1, "above 0 and at most 1")
+        for name, default in (("reset_states", "plans"), ("reset_schedule", "uniform")):
+            if getattr(self, name) != default and not self.resets:
+                raise UsageError(
+                    f"{name} is {getattr(self, name)!r}, but no episode starts at plans: set `resets`."
+                )
+        if self.reset_schedule == "reverse" and self.reset_states != "plans":
+            raise UsageError(
+                f"reset_schedule 'reverse' needs states of plans, got reset_states {self.reset_states!r}: a "
+                "search tree does not say how far a state is from the end of a plan."
+            )
+
+    @property
+    def uses_of_plans(self) -> tuple[str, ...]:
+        """The settings that use plans."""
+        return tuple(name for name in ("resets", "replay", "clone", "clone_weight") if getattr(self, name))
 
     @property
     def needs_embedding(self) -> bool:

@@ -1,4 +1,4 @@
-"""Plans in training: states at which episodes start, and steps for a replay buffer."""
+"""Plans in training: states at which episodes start, and steps of the task along plans."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +12,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.state_info import StateInfo
 from planspace.envs.batch import TaskBatch
 from planspace.envs.episodes import Episodes, TaskEpisodes
-from planspace.envs.plan_starts import PlanStarts
+from planspace.envs.plan_starts import PlanStarts, StartStates
 from planspace.errors import UsageError
 from planspace.mjcf.source import model_key
 from planspace.rl.config import TrainConfig
@@ -23,6 +23,8 @@ from planspace.tasks.task import Task
 
 NUM_SIMULATIONS = 256
 """States that are simulated or judged at once; results do not depend on it."""
+LEAST_DURATION = 1e-9
+"""Durations are at least this [s], so that plans of one state can be divided by theirs."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,16 @@ class Plans:
             PlanspaceError: there is no dataset, or it is damaged.
         """
         task = observer.task
-        used = " and ".join(f"--{name}" for name in ("resets", "replay") if getattr(config, name))
+        used = " and ".join(f"--{name.replace('_', '-')}" for name in config.uses_of_plans)
         if given is None:
             if used:
                 raise UsageError(f"{used} needs plans: give --plans DIR.")
             return None
         if not used:
-            raise UsageError("plans were given, but nothing uses them: give --resets or --replay a fraction.")
+            raise UsageError(
+                "plans were given, but nothing uses them: give --resets or --replay a fraction, or --clone "
+                "or --clone-weight a number."
+            )
         if not isinstance(task, Task):
             raise UsageError(
                 f"{used} sets the state of an episode, which planspace cannot do in {task.name}: leave it "
@@ -67,10 +72,11 @@ class Plans:
         demos = given if isinstance(given, Demos) else load_demos(given)
         _check_states(task, demos.info)
         plans = cls(config, observer, task, demos)
-        if config.replay:
-            plans._check_steps("--replay")
+        plans._check_steps()
         if not plans._alive.any():
             raise UsageError(f"{task.name} ends an episode at every state of the plans: give other plans.")
+        if config.resets:
+            plans._check_starts()
         return plans
 
     @property
@@ -83,15 +89,15 @@ class Plans:
         if not self.config.resets:
             return own
         assert isinstance(own, TaskEpisodes)
-        return PlanStarts(own, self._states[self._alive], self.config.resets)
+        return PlanStarts(own, self._starts, self.config.resets)
 
     def transitions(self) -> Transitions | None:
-        """Steps of the task along the plans, see `plan_steps`; None if `replay` is 0.
+        """Steps of the task along the plans, see `plan_steps`; None if nothing uses them.
 
         Raises:
             UsageError: the plans have no such step.
         """
-        if not self.config.replay:
+        if not self._step_options:
             return None
         return plan_steps(self._in_task, self._batch, self.observer, self._alive)
 
@@ -107,9 +113,37 @@ class Plans:
 
     @cached_property
     def _alive(self) -> Bool[np.ndarray, " row"]:
-        """Whether an episode goes on at each state."""
-        blocks = range(0, len(self._states), NUM_SIMULATIONS)
-        ended = [self.task.terminated(self._states[first : first + NUM_SIMULATIONS]) for first in blocks]
+        """Whether an episode goes on at each state of the plans."""
+        return self._goes_on(self._states)
+
+    @cached_property
+    def _starts(self) -> StartStates:
+        """The states at which episodes start."""
+        plans = self._states[self._alive]
+        if self.config.reset_schedule == "reverse":
+            left = self._remaining[self._alive]
+            order = np.argsort(left, kind="stable")
+            return StartStates(plans[order], left[order])
+        if self.config.reset_states == "plans":
+            return StartStates(plans)
+        trees = self.task.space.normalise(np.concatenate([tree.states for tree in self._in_task.trees]))
+        trees = trees[self._goes_on(trees)]
+        if self.config.reset_states == "trees":
+            return StartStates(trees)
+        num = max(len(plans), len(trees))  # repeated, so that half of the starts are from each
+        return StartStates(np.concatenate([np.resize(part, (num, part.shape[1])) for part in (plans, trees)]))
+
+    @cached_property
+    def _remaining(self) -> Float[np.ndarray, " row"]:
+        """Fraction of its plan that is left at each state."""
+        demos = self.demos
+        durations = demos.times[demos.offsets[1:] - 1]
+        return 1.0 - demos.times / np.repeat(np.maximum(durations, LEAST_DURATION), np.diff(demos.offsets))
+
+    def _goes_on(self, states: Float[np.ndarray, "row state"]) -> Bool[np.ndarray, " row"]:
+        """Whether an episode goes on at each of these states."""
+        blocks = range(0, len(states), NUM_SIMULATIONS)
+        ended = [self.task.terminated(states[first : first + NUM_SIMULATIONS]) for first in blocks]
         return ~np.concatenate(ended)
 
     @cached_property
@@ -117,15 +151,36 @@ class Plans:
         """Simulations of the task."""
         return TaskBatch(self.task, min(NUM_SIMULATIONS, len(self._states)), reward=self.config.reward)
 
-    def _check_steps(self, option: str) -> None:
-        """Check that steps along the plans can be computed.
+    @property
+    def _step_options(self) -> tuple[str, ...]:
+        """The options that need steps along the plans."""
+        return tuple(f"--{x.replace('_', '-')}" for x in self.config.uses_of_plans if x != "resets")
 
-        Args:
-            option: the option that needs them, for messages.
+    def _check_starts(self) -> None:
+        """Check that the plans have the states at which episodes are to start.
+
+        Raises:
+            UsageError: they do not.
+        """
+        if self.config.reset_states == "plans":
+            return
+        if not self.demos.trees:
+            raise UsageError(
+                f"--reset-states {self.config.reset_states} needs search trees, but these plans have none: "
+                "plan with --keep-trees, or start at the states of plans."
+            )
+        if not len(self._starts.states):
+            raise UsageError(f"{self.task.name} ends an episode at every state of the trees: give others.")
+
+    def _check_steps(self) -> None:
+        """Check that steps along the plans can be computed, if they are needed.
 
         Raises:
             UsageError: they cannot.
         """
+        if not self._step_options:
+            return
+        option = self._step_options[0]
         if not self.demos.controls.any():
             raise UsageError(f"{option} needs the controls of the plans, but they have none: use --resets.")
         num_controls, found = self._batch.simulator.model.nu, self.demos.info.num_controls
@@ -134,8 +189,8 @@ class Plans:
                 f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
                 f"{found}: use --resets."
             )
-        if self.config.shaping != "none":
-            raise UsageError(f"{option} has no shaping rewards: leave out --shaping, or use --resets.")
+        if self.config.replay and self.config.shaping != "none":
+            raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")
         if (count := len(self.observer.embeddings)) > 1:
             raise UsageError(f"{option} needs one embedding for all seeds, got {count}: use --resets.")
 

@@ -61,6 +61,11 @@ class GaussianPolicy(eqx.Module):
         return jnp.sum(self.log_std + UNIT_ENTROPY)
 
 
+def mean_action(policy: GaussianPolicy, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    """The mean action for one observation."""
+    return policy.mean(obs)
+
+
 class UpdateInfo(eqx.Module):
     """Result of an update of a policy."""
 

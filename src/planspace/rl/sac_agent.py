@@ -15,6 +15,7 @@ from planspace.errors import UsageError
 from planspace.rl.algorithm import Diverged
 from planspace.rl.algorithms.sac import SAC
 from planspace.rl.arm import Arm
+from planspace.rl.cloning import Examples, imitate
 from planspace.rl.normalise import BOUND, ObsStatistics
 from planspace.rl.policy_network import PolicyNetwork
 from planspace.rl.rollout import Rollout
@@ -25,6 +26,7 @@ from planspace.rl.sac_update import (
     Noise,
     UpdateInfo,
     gradient_step,
+    mean_action,
     new_learner,
 )
 from planspace.rl.stack import scaled, stacked
@@ -107,6 +109,22 @@ def new_state(settings: SAC, arm: Arm, *, key: Key[Array, ""]) -> SACState:
     return SACState(learner, replay, np.array(0), ObsStatistics.empty(num_obs))
 
 
+def clone(settings: SAC, arm: Arm, state: SACState, *, key: Key[Array, ""]) -> SACState:
+    """The state after gradient steps that bring the mean action to the controls of plans.
+
+    Observations are then standardised as those of the plans.
+    """
+    steps, statistics = arm.plan_transitions, state.statistics
+    assert steps is not None
+    if settings.normalise_obs:
+        statistics = statistics.with_more(steps.obs)
+    reader = _reader(arm, statistics if settings.normalise_obs else None)
+    examples = _examples(reader, list(map(jnp.asarray, steps)), np.zeros((), np.float32))
+    actor = imitate(state.learner.actor, mean_action, examples, arm.config.clone, key=key)
+    learner = eqx.tree_at(lambda learner: learner.actor, state.learner, actor)
+    return SACState(learner, state.replay, state.num_steps, statistics)
+
+
 def collect(
     settings: SAC, arm: Arm, states: Sequence[SACState], rngs: Sequence[np.random.Generator]
 ) -> Rollout:
@@ -181,10 +199,12 @@ def update(
     learner, numbers = state.learner, dict.fromkeys(UpdateInfo._fields, np.nan)
     if num_steps > settings.learning_starts:
         keys = jr.split(key, max(1, round(settings.updates_per_step * len(new.rewards))))
-        source = _Source(replay, np.asarray(min(int(num_steps), len(replay.rewards))), arm.plan_transitions)
-        num_plans = round(arm.config.replay * settings.batch) if arm.plan_transitions else 0
+        plans = arm.plan_transitions if arm.config.replay or arm.clone_weight > 0 else None
+        source = _Source(replay, np.asarray(min(int(num_steps), len(replay.rewards))), plans)
+        num_plans = round(arm.config.replay * settings.batch) if plans else 0
         reader = _reader(arm, statistics if settings.normalise_obs else None)
-        learner, info = _learn(settings, num_plans, learner, source, reader, keys)
+        weight = np.asarray(arm.clone_weight, np.float32) if arm.clone_weight > 0 else None
+        learner, info = _learn(settings, num_plans, learner, source, reader, keys, weight)
         numbers = {name: float(number) for name, number in info._asdict().items()}
     return SACState(learner, replay, num_steps, statistics), numbers
 
@@ -230,6 +250,7 @@ def _learn(
     source: _Source,
     reader: _Reader,
     keys: Key[Array, " update"],
+    clone_weight: Float[np.ndarray | Array, ""] | None,
 ) -> tuple[Learner, UpdateInfo]:
     """Take one gradient step for each key, and return the mean of their numbers.
 
@@ -240,6 +261,7 @@ def _learn(
         source: where rows come from.
         reader: how the networks read them.
         keys: a random key for each gradient step.
+        clone_weight: weight of the penalty for actions that differ from those of plans; None without.
     """
 
     def step(learner: Learner, key: Key[Array, ""]) -> tuple[Learner, UpdateInfo]:
@@ -250,10 +272,23 @@ def _learn(
             rows = [jnp.concatenate(parts) for parts in zip(rows, planned, strict=True)]
         size = settings.batch, len(reader.limits[0])
         noise = Noise(jr.normal(now_key, size), jr.normal(then_key, size))
-        return gradient_step(settings, learner, reader(rows), noise)
+        examples = None
+        if clone_weight is not None:
+            assert source.plans is not None
+            planned = _drawn(
+                source.plans, len(source.plans.rewards), settings.batch, key=jr.fold_in(plan_key, 0)
+            )
+            examples = _examples(reader, planned, clone_weight)
+        return gradient_step(settings, learner, reader(rows), noise, examples)
 
     learner, infos = jax.lax.scan(step, learner, keys)
     return learner, jax.tree.map(jnp.mean, infos)
+
+
+def _examples(reader: _Reader, rows: Sequence[Array], weight: Float[np.ndarray | Array, ""]) -> Examples:
+    """Rows of transitions along plans, as the policy is to imitate them."""
+    batch = reader(rows)
+    return Examples(batch.policy_obs, batch.actions, np.ones(batch.actions.shape[1], np.float32), weight)
 
 
 def _drawn(

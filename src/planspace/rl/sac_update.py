@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from planspace.embed.gaussian import DiagonalGaussian
 from planspace.rl.algorithms.sac import SAC
+from planspace.rl.cloning import Examples
 from planspace.rl.mlp import MLP
 
 LOG_STD_LIMITS = -20.0, 2.0
@@ -98,6 +99,12 @@ def sample(
     return action, gaussian.log_prob(before) - jnp.sum(jnp.log(1.0 - action**2 + SQUASH_FLOOR))
 
 
+def mean_action(actor: MLP, obs: Float[Array, " obs"]) -> Float[Array, " action"]:
+    """The mean of the policy, squashed."""
+    mean, _ = jnp.split(actor(obs), 2)
+    return jnp.tanh(mean)
+
+
 def critic_targets(
     settings: SAC, learner: Learner, batch: Batch, noise: Float[Array, "row action"]
 ) -> Float[Array, " row"]:
@@ -111,10 +118,13 @@ def critic_targets(
     return batch.rewards + settings.discount * jnp.where(batch.terminated, 0.0, value)
 
 
-def gradient_step(settings: SAC, learner: Learner, batch: Batch, noise: Noise) -> tuple[Learner, UpdateInfo]:
+def gradient_step(
+    settings: SAC, learner: Learner, batch: Batch, noise: Noise, examples: Examples | None = None
+) -> tuple[Learner, UpdateInfo]:
     """Improve everything once, in the order of Stable-Baselines3.
 
-    The temperature that multiplies entropies is the one before the step.
+    The temperature that multiplies entropies is the one before the step. With examples, their penalty is
+    added to the loss of the policy.
     """
     adam, alpha = _adam(settings), jnp.exp(learner.log_alpha)
     actor_state, critic_state, alpha_state = learner.optimisers
@@ -130,7 +140,8 @@ def gradient_step(settings: SAC, learner: Learner, batch: Batch, noise: Noise) -
 
     def actor_loss(actor: MLP) -> tuple[Array, Array]:
         actions, log_prob = _samples(actor, batch.policy_obs, noise.now)
-        return jnp.mean(alpha * log_prob - _least_value(critics, batch.critic_obs, actions)), log_prob
+        loss = jnp.mean(alpha * log_prob - _least_value(critics, batch.critic_obs, actions))
+        return loss if examples is None else loss + examples.penalty(mean_action, actor), log_prob
 
     (of_actor, log_prob), gradient = jax.value_and_grad(actor_loss, has_aux=True)(learner.actor)
     change, actor_state = adam.update(gradient, actor_state)

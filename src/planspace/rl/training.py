@@ -16,44 +16,43 @@ from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.envs.episodes import make_episodes
 from planspace.envs.plan_starts import own_starts
-from planspace.errors import UsageError
 from planspace.progress import progress, progress_shown
 from planspace.rl.algorithm import Algorithm, Diverged
-from planspace.rl.algorithms import find_algorithm
 from planspace.rl.arm import Arm
 from planspace.rl.checks import (
     all_finite,
     check_env_workers,
-    check_replay,
+    check_uses_of_plans,
     checked_names,
     checked_network,
     checked_rollout,
     checked_state,
     checked_update,
 )
-from planspace.rl.config import TrainConfig, default_batch_steps
+from planspace.rl.config import TrainConfig
 from planspace.rl.export import export_policies
 from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
 from planspace.rl.observe import Observer
 from planspace.rl.plans import Plans
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.rollout import collect, episode_returns, first_returns
+from planspace.rl.run_setup import embedding_of_seeds, run_settings, with_algorithm
 from planspace.rl.shaping import Shaping
 from planspace.rl.trained import TemporaryFolder, TrainedPolicies
-from planspace.seams import plain_settings
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checkpoint import FILE, load_checkpoint, save_checkpoint
-from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import TrackerName, open_trackers
 from planspace.tasks.gymnasium import AnyTask, find_training_task
 from planspace.tasks.observation_types import find_name
-from planspace.tasks.stored_task import save_task, task_content
+from planspace.tasks.stored_task import save_task
 from planspace.workers import count_cores
 
 CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
+CLONE_STREAM = 2**31
+"""Distinguishes the random key of cloning from those of iterations."""
 EVALUATION_SEED = 20_201_026
 """Seed of the episodes of an evaluation: they start the same for every seed of every arm."""
 
@@ -112,8 +111,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
             replaces that of `config`.
         embedding: the embedding that computes z, if `config` uses z. Of a sequence of n embeddings, seed `s`
             uses the one with index `s` modulo n.
-        plans: plans of the task's joints and model, or the folder of a dataset, if `config` has `resets` or
-            `replay`.
+        plans: plans of the task's joints and model, or the folder of a dataset, if `config` has `resets`,
+            `replay`, `clone` or `clone_weight`.
         out: the run's folder; without it, policies are stored in a temporary folder.
         track: also send the learning curves to `tensorboard` or `wandb`.
         env_workers: number of processes that step a Gymnasium environment; 0 steps it in this process. The
@@ -125,13 +124,13 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         UsageError: settings, task, algorithm, embedding and plans do not fit together.
     """
     task = find_training_task(task)
-    config = _with_algorithm(config or TrainConfig(), algorithm)
-    check_replay(config)
+    config = with_algorithm(config or TrainConfig(), algorithm)
+    check_uses_of_plans(config)
     check_env_workers(task, env_workers)
     find_name(f"reward type of {task.name}", config.reward, task.reward_types)
     find_name(f"observation type of {task.name}", config.obs, task.obs_types)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
-    per_seed = _embedding_of_seeds(given, config)
+    per_seed = embedding_of_seeds(given, config)
     observed = per_seed if config.z != "none" else ()
     observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds)
     shaping = Shaping.of(config, task, per_seed)
@@ -140,7 +139,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
     with lock_folder(run):
-        open_run(run, _settings(task, config, given, used))
+        open_run(run, run_settings(task, config, given, used))
         save_task(task, run)
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
@@ -150,15 +149,6 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
                 arm = Arm(config, observer, episodes, shaping)
                 history = _train(arm if used is None else _with_plans(arm, used), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
-
-
-def _with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> TrainConfig:
-    """The settings with another algorithm, if there is one, and its default of `batch_steps`."""
-    if algorithm is None:
-        return config
-    new = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
-    is_default = config.batch_steps == default_batch_steps(config.algorithm)
-    return replace(config, algorithm=new, batch_steps=0 if is_default else config.batch_steps)
 
 
 def _with_plans(arm: Arm, plans: Plans) -> Arm:
@@ -181,6 +171,8 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
             saved = load_checkpoint(out, state)
             assert saved is not None
             state, first = saved[0], saved[1]["iteration"]
+        elif config.clone:
+            state = _cloned(training, state)
         state = _run(training, state, first, out, track)
     history = {
         "steps": arm.steps * np.arange(1, config.iterations + 1),
@@ -192,39 +184,24 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
     return history
 
 
-def _embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:
-    """The embedding of each seed; one embedding if all seeds share it."""
-    if embeddings and not config.needs_embedding:
-        raise UsageError(
-            "an embedding was given, but z is 'none': give --z augment, --z replace or --shaping z."
-        )
-    if len(embeddings) <= 1:
-        return embeddings
-    if len(embeddings) > config.num_seeds:
-        raise UsageError(f"{len(embeddings)} embeddings are too many for {config.num_seeds} seeds.")
-    return tuple(embeddings[seed % len(embeddings)] for seed in config.seeds)
-
-
-def _settings(
-    task: AnyTask, config: TrainConfig, embeddings: tuple[Embedding, ...], plans: Plans | None
-) -> dict[str, Any]:
-    """The content of `config.json`; `read_settings` reads it."""
-    return {
-        "task": task.name,
-        **task_content(task),
-        **plain_settings(config),
-        "embeddings": [embedding.hash for embedding in embeddings],
-        **({} if plans is None else {"plans": plans.hash}),
-        "versions": Provenance.current("mujoco", "jax").plain() | task.versions,
-    }
-
-
 def _init(training: _Training) -> _State:
     arm, config = training.arm, training.arm.config
     agents = tuple(checked_state(training.algorithm.init(arm, key=jr.key(seed))) for seed in config.seeds)
     evaluation = np.full((len(config.evaluations), config.num_seeds), np.nan)
     state = _State(agents, np.zeros(config.num_seeds, bool), {EVALUATION: evaluation})
     return _with_numbers(training, state, COMMON)
+
+
+def _cloned(training: _Training, state: _State) -> _State:
+    """Have every policy imitate the controls of plans before training."""
+    arm, algorithm = training.arm, training.algorithm
+
+    def clone(i: int) -> Any:
+        key, before = jr.fold_in(jr.key(arm.config.seeds[i]), CLONE_STREAM), state.agents[i]
+        cloned = algorithm.clone(arm, before, key=key)  # pyright: ignore  `check_uses_of_plans` found it
+        return checked_state(checked_update((cloned, {}), before, "clone")[0], "clone")
+
+    return state._replace(agents=tuple(training.threads.map(clone, range(arm.config.num_seeds))))
 
 
 def _with_numbers(training: _Training, state: _State, names: Sequence[str]) -> _State:
@@ -286,7 +263,8 @@ def _log_rows(rows: dict[int, dict[str, list[float]]]) -> list[dict[str, Any]]:
 
 
 def _iterate(training: _Training, state: _State, iteration: int) -> _State:
-    arm, config = training.arm, training.arm.config
+    config = training.arm.config
+    arm = training.arm.at(iteration / config.iterations)
     rngs = [np.random.default_rng(np.random.SeedSequence([seed, iteration])) for seed in config.seeds]
     rollout = checked_rollout(training.algorithm.collect(arm, state.agents, rngs), arm)
     parts = [rollout.of_seed(i) for i in range(config.num_seeds)]

@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from planspace.embed.gaussian import kl
 from planspace.rl.agent import AgentState, ImproveFn, Improvement, Samples
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.rl.policy import GaussianPolicy, UpdateInfo
+from planspace.rl.cloning import Examples
+from planspace.rl.policy import GaussianPolicy, UpdateInfo, mean_action
 
 
 def improve(config: TRPO) -> ImproveFn:
@@ -22,7 +23,9 @@ def improve(config: TRPO) -> ImproveFn:
 
     def step(state: AgentState, samples: Samples, key: Key[Array, ""]) -> Improvement:
         obs, actions = (x.reshape(-1, x.shape[-1]) for x in (samples.obs, samples.actions))
-        policy, info = _update(state.policy, obs, actions, samples.advantages.ravel(), config)
+        policy, info = _update(
+            state.policy, obs, actions, samples.advantages.ravel(), config, samples.examples
+        )
         return policy, state.optimiser, info
 
     return step
@@ -34,8 +37,12 @@ def update(
     actions: Float[Array, "sample action"],
     advantages: Float[Array, " sample"],
     config: TRPO,
+    examples: Examples | None = None,
 ) -> tuple[GaussianPolicy, UpdateInfo]:
-    """Update a policy from the samples of one iteration."""
+    """Update a policy from the samples of one iteration.
+
+    With examples, their penalty is subtracted from the surrogate objective.
+    """
     theta, rebuild = ravel_pytree(policy)
     old = jax.vmap(policy)(obs)
     old_log_prob = jax.vmap(lambda d, a: d.log_prob(a))(old, actions)
@@ -44,6 +51,8 @@ def update(
         new = jax.vmap(rebuild(theta))(obs)
         log_prob = jax.vmap(lambda d, a: d.log_prob(a))(new, actions)
         surrogate = jnp.mean(jnp.exp(log_prob - old_log_prob) * advantages)
+        if examples is not None:
+            surrogate -= examples.penalty(mean_action, rebuild(theta))
         return surrogate, jnp.mean(jax.vmap(kl)(old, new))
 
     before, gradient = jax.value_and_grad(lambda t: surrogate_and_kl(t)[0])(theta)

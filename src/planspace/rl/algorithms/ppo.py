@@ -17,6 +17,7 @@ class PPO:
     """Proximal policy optimisation; the defaults are the preset `paper`."""
 
     name: ClassVar[str] = "ppo"
+    clones: ClassVar[bool] = True
     steps_a_second: ClassVar[float] = 37_000
     """Environment steps that one core trains in a second, roughly."""
 
@@ -56,6 +57,12 @@ class PPO:
         from planspace.rl.ppo_update import optimiser
 
         return new_agent(self.on_policy, arm, key=key, optimiser=optimiser(self))
+
+    def clone(self, arm: Arm, state: Any, *, key: Key) -> Any:
+        """Take gradient steps that bring the mean action to the controls of plans."""
+        from planspace.rl.agent import clone
+
+        return clone(self.on_policy, arm, state, key=key)
 
     def collect(self, arm: Arm, states: Sequence[Any], rngs: Sequence[np.random.Generator]) -> Rollout:
         """Play episodes with actions drawn from the policies."""

@@ -16,6 +16,7 @@ class SAC:
     """Soft actor-critic; the defaults are those of Stable-Baselines3."""
 
     name: ClassVar[str] = "sac"
+    clones: ClassVar[bool] = True
     steps_a_second: ClassVar[float] = 100
     """Environment steps that one core trains in a second, roughly."""
     replays: ClassVar[bool] = True
@@ -79,6 +80,12 @@ class SAC:
         from planspace.rl.sac_agent import new_state
 
         return new_state(self, arm, key=key)
+
+    def clone(self, arm: Arm, state: Any, *, key: Key) -> Any:
+        """Take gradient steps that bring the mean action to the controls of plans."""
+        from planspace.rl.sac_agent import clone
+
+        return clone(self, arm, state, key=key)
 
     def collect(self, arm: Arm, states: Sequence[Any], rngs: Sequence[np.random.Generator]) -> Rollout:
         """Play episodes with actions drawn from the policies; the first actions are uniformly random."""

@@ -1,0 +1,134 @@
+"""Policies that imitate plans before training, and under a penalty."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.random as jr
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos
+from planspace.envs.episodes import TaskEpisodes
+from planspace.errors import UsageError
+from planspace.rl import training
+from planspace.rl.algorithm import Algorithm
+from planspace.rl.algorithms.on_policy import OnPolicy
+from planspace.rl.algorithms.ppo import PPO
+from planspace.rl.algorithms.sac import SAC
+from planspace.rl.algorithms.trpo import TRPO
+from planspace.rl.arm import Arm
+from planspace.rl.config import TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.policy_network import Actor
+from planspace.rl.training import train_policies
+from planspace.rl.transitions import Transitions
+from planspace.seams import plain_settings
+from planspace.tasks.catalog import TASKS
+
+from ..strangers.cross_entropy import CrossEntropy
+
+TASK = TASKS["cartpole-swingup"]
+SEEING = OnPolicy(normalise_obs=True, hidden=(16,))
+ALGORITHMS = {
+    "trpo": TRPO(SEEING),
+    "ppo": PPO(SEEING, of_steps=True, minibatch=200, tolerance=0.0),
+    "sac": SAC(normalise_obs=True, hidden=(16,), critic_hidden=(16,), batch=64, updates_per_step=0.25),
+}
+
+
+def make_arm(algorithm: Algorithm, **changes: Any) -> Arm:
+    """The swing-up with two environments, and a control for each state: 2 tanh(x - theta)."""
+    config = TrainConfig(algorithm, num_seeds=1, steps=800, batch_steps=400, **changes)
+    states = np.random.default_rng(0).normal(size=(400, 4)).astype(np.float32)
+    actions = 2.0 * np.tanh(states[:, :1] - states[:, 1:2])
+    steps = Transitions(states, actions, np.zeros(400, np.float32), states, np.zeros(400, bool))
+    episodes = TaskEpisodes(TASK, 2)
+    return Arm(config, Observer(TASK, "raw", "none", "both"), episodes, plan_transitions=steps)
+
+
+def error_of(arm: Arm, state: Any) -> float:
+    """Mean squared difference of the mean actions from those of the plans."""
+    steps = arm.plan_transitions
+    assert steps is not None
+    network = replace(arm.config.algorithm.act(arm, state), log_std=None)
+    actions = Actor([network], arm.observer.policy_columns)(steps.obs[None], np.zeros((1, 400, 1)))
+    return float(np.mean((actions[0] - steps.actions) ** 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_policy_imitates_plans_before_training_and_under_a_penalty(name: str) -> None:
+    algorithm: Any = ALGORITHMS[name]
+    arm = make_arm(algorithm, clone=1500, clone_weight=100.0)
+    first = algorithm.init(arm, key=jr.key(0))
+    assert error_of(arm, algorithm.clone(arm, first, key=jr.key(1))) < 0.1 * error_of(arm, first)
+    rollout = algorithm.collect(arm, [first], [np.random.default_rng(0)]).of_seed(0)
+    error = {
+        done: error_of(arm, algorithm.update(arm.at(done), first, rollout, key=jr.key(2))[0])
+        for done in (0.0, 0.5)  # the penalty has decreased to 0 after half of training
+    }
+    free = make_arm(algorithm)
+    after = algorithm.update(free, first, rollout, key=jr.key(2))[0]
+    assert error_of(free, after) == error[0.5] > error[0.0] + 0.02
+
+
+def test_the_penalty_decreases_linearly_to_0() -> None:
+    arm = make_arm(TRPO(), clone_weight=8.0, clone_decay=0.5)
+    assert [arm.at(done).clone_weight for done in (0.0, 0.125, 0.25, 0.5, 0.9)] == [8.0, 6.0, 4.0, 0.0, 0.0]
+
+
+@pytest.mark.slow
+def test_a_resumed_run_is_exact_with_every_use_of_plans(
+    demos: Demos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sac = replace(ALGORITHMS["sac"], updates_per_step=0.05)
+    uses = {"clone": 20, "clone_weight": 2.0, "replay": 0.3, "resets": 0.6, "reset_schedule": "reverse"}
+    config = TrainConfig(sac, num_seeds=2, steps=1200, batch_steps=400, eval_every=1, **uses)
+    run = lambda out, config=config: train_policies(TASK, config, plans=demos, out=tmp_path / out)  # noqa: E731
+    whole = run("whole").history
+    monkeypatch.setattr(training, "CHECKPOINT_EVERY", 1)
+    iterate, calls = training._iterate, []
+
+    def interrupted(*args: Any) -> Any:
+        calls.append(None)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return iterate(*args)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "_iterate", interrupted)
+        run("cut")
+    resumed, alone = run("cut").history, run("alone", replace(config, seed=1, num_seeds=1)).history
+    for name in whole.keys() - {"steps", "eval_steps"}:
+        np.testing.assert_array_equal(whole[name], resumed[name])
+        np.testing.assert_array_equal(whole[name][:, 1], alone[name][:, 0])
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "steps": ({"clone": -1}, "`clone` must be at least 0, got -1"),
+    "weight": ({"clone_weight": float("inf")}, "`clone_weight` must be at least 0 and finite, got inf"),
+    "decay": ({"clone_decay": 0.0}, "`clone_decay` must be above 0 and at most 1"),
+    "states": ({"reset_states": "trees"}, "reset_states is 'trees', but no episode starts at plans"),
+    "curriculum": ({"resets": 0.5, "reset_states": "both", "reset_schedule": "reverse"}, "needs states of"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_settings_that_do_not_fit_are_refused(case: str) -> None:
+    changes, message = REFUSED[case]
+    with pytest.raises(UsageError, match=message):
+        TrainConfig(**changes)
+
+
+def test_an_algorithm_that_cannot_imitate_and_plans_without_controls_are_refused(demos: Demos) -> None:
+    with pytest.raises(UsageError, match="--clone 5 needs an algorithm that can imitate plans, but cross"):
+        train_policies(TASK, TrainConfig(CrossEntropy(), clone=5), plans=demos)
+    with pytest.raises(UsageError, match="--clone-weight needs the controls of the plans"):
+        without = replace(demos, controls=np.zeros_like(demos.controls))
+        train_policies(TASK, TrainConfig(clone_weight=1.0), plans=without)
+
+
+def test_settings_of_runs_without_plans_are_saved_as_before() -> None:
+    saved = plain_settings(TrainConfig())
+    assert not {name for name in saved if name.startswith(("reset", "replay", "clone"))}
