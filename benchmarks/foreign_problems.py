@@ -266,3 +266,54 @@ PROBLEMS = {
         held="all",
     ),
 }
+
+
+def half(name: str, start: tuple[float, ...], goal: tuple[float, ...]) -> Foreign:
+    """The arm of another problem, from a quarter to three quarters of the range of each joint."""
+    known = PROBLEMS[name]
+    length = np.abs(np.subtract(goal, start)).sum()
+    return Foreign(known.model, known.joints, start, goal, f"half of each range, {length:.0f} rad")
+
+
+PROBLEMS |= {
+    "robosuite-panda-half": half(
+        "robosuite-panda",
+        (-1.45, -0.88, -1.45, -2.32, -1.45, 0.92, -1.45),
+        (1.45, 0.88, 1.45, -0.82, 1.45, 2.81, 1.45),
+    ),
+    "robosuite-iiwa-half": half(
+        "robosuite-iiwa",
+        (-1.48, -1.05, -1.48, -1.05, -1.48, -1.05, -1.53),
+        (1.48, 1.05, 1.48, 1.05, 1.48, 1.05, 1.53),
+    ),
+    "robosuite-sawyer-half": half(
+        "robosuite-sawyer",
+        (-1.53, -2.29, -1.52, -1.52, -1.49, -1.49, -2.36),
+        (1.53, 0.75, 1.52, 1.52, 1.49, 1.49, 2.36),
+    ),
+    "robosuite-jaco-half": half(
+        "robosuite-jaco",
+        (-3.14, 1.98, -3.14, 1.83, -3.14, 2.14, -3.14),
+        (3.14, 4.3, 3.14, 4.45, 3.14, 4.15, 3.14),
+    ),
+    "robosuite-kinova3-half": half(
+        "robosuite-kinova3",
+        (-1.57, -1.2, -1.57, -1.33, -1.57, -1.12, -1.57),
+        (1.57, 1.2, 1.57, 1.33, 1.57, 1.11, 1.57),
+    ),
+    "robosuite-ur5e-half": half(
+        "robosuite-ur5e",
+        (-3.14, -3.14, -1.57, -3.14, -3.14, -3.14),
+        (3.14, 3.14, 1.57, 3.14, 3.14, 3.14),
+    ),
+    "robosuite-xarm7-half": half(
+        "robosuite-xarm7",
+        (-3.14, -1.02, -3.14, 0.84, -3.14, -0.48, -3.14),
+        (3.14, 1.06, 3.14, 2.9, 3.14, 1.93, 3.14),
+    ),
+    "robosuite-spot-arm-half": half(
+        "robosuite-spot-arm",
+        (-1.18, -2.23, 0.79, -1.4, -0.92, -1.44),
+        (1.7, -0.39, 2.36, 1.4, 0.92, 1.44),
+    ),
+}

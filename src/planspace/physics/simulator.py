@@ -90,6 +90,8 @@ class Simulator:
         self._time = self._batch.bind("time")
         self._ctrl = self._batch.bind("ctrl")
         self._warmstart = self._batch.bind("qacc_warmstart")
+        self._inertia = self._batch.bind("M")
+        self._bias, self._passive = self._batch.bind("qfrc_bias"), self._batch.bind("qfrc_passive")
         if validity.forbidden_contacts != "none":
             self._contacts = self._batch.bind("sensordata" if validity.pairs else "ncon")
         self.control_low, self.control_high = control_bounds(model, space)
@@ -160,6 +162,24 @@ class Simulator:
             with stepping():
                 self._batch.forward(ids=ids, stage=_POSITION_STAGE)
         return self.allowed(len(states))
+
+    def dynamics(
+        self, ids: Int[np.ndarray, " sim"]
+    ) -> tuple[Float[np.ndarray, "sim dof dof"], Float[np.ndarray, "sim dof"]]:
+        """Return the inertia matrix and the forces without acceleration, in the current states.
+
+        They are those of inverse dynamics without contacts, constraints and dry friction. Degrees of freedom
+        are in the order of the state.
+        """
+        with stepping():
+            self._batch.forward(ids=ids)
+        model, dofs = self.model, list(self.space.qvel_index)
+        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
+        full = np.zeros((len(ids), model.nv, model.nv))
+        full[:, rows, model.M_colind] = self._inertia[ids]
+        full[:, model.M_colind, rows] = self._inertia[ids]
+        forces = self._bias[ids] - self._passive[ids]
+        return full[:, dofs][:, :, dofs], forces[:, dofs]
 
     def mujoco_data(self, sim: int) -> mujoco.MjData:
         """Copy one simulation to an `MjData` with all quantities computed, for rendering."""

@@ -18,6 +18,7 @@ from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig
 from planspace.plan.durations import num_steps
 from planspace.plan.linearise import at_rest
+from planspace.plan.motors import limit_accelerations
 from planspace.plan.planner import PAGE, Failure, Plan, search
 from planspace.plan.polish import Polish
 from planspace.plan.proof import replay_plan
@@ -57,6 +58,7 @@ class Pipeline:
         """
         self.problem, self.config = problem, config
         self.model, self.space = problem.compile()
+        limit_accelerations(self.model, self.space)
         self.simulator = Simulator(
             self.model, self.space, NUM_SIMULATIONS, threads=threads, validity=problem.validity
         )

@@ -11,11 +11,11 @@ for a position servo, this control is a pose already.
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.physics.simulator import Simulator
+from planspace.plan.motors import motor
 
 BAND = 0.3
 """A servo applies the largest control from this distance to its target on [rad or m]."""
@@ -46,8 +46,12 @@ class Servo:
         self._simulator = simulator
         model, space = simulator.model, simulator.space
         columns = {} if space.kinematic else {at: i for i, at in enumerate(space.qpos_index)}
-        found = [_motor_position(model, i) for i in range(model.nu)]
-        motors = [(i, columns[at[0]], at[1]) for i, at in enumerate(found) if at and at[0] in columns]
+        found = [motor(model, i) for i in range(model.nu)]
+        motors = [
+            (i, columns[m.position], np.sign(m.gain))
+            for i, m in enumerate(found)
+            if m and m.position in columns
+        ]
         self.motors = np.array([i for i, _, _ in motors], dtype=int)
         """Numbers of the controls that servo."""
         self._columns = np.array([column for _, column, _ in motors], dtype=int)
@@ -105,19 +109,3 @@ class Servo:
         valid &= ~simulator.diverged()[:num]
         controls = [np.repeat(applied[i, : n // stride], stride, axis=0) for i, n in enumerate(durations)]
         return simulator.states()[:num], valid, controls
-
-
-def _motor_position(model: mujoco.MjModel, actuator: int) -> tuple[int, float] | None:
-    """Index in qpos of the joint that a motor turns or slides, and the sign of its effect; else None."""
-    joint = int(model.actuator_trnid[actuator, 0])
-    gain = float(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0])
-    is_motor = (
-        model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_JOINT)
-        and model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_NONE)
-        and model.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
-        and model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-    )
-    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-    if not is_motor or gain == 0 or int(model.jnt_type[joint]) not in kinds:
-        return None
-    return int(model.jnt_qposadr[joint]), float(np.sign(gain))

@@ -5,7 +5,8 @@ One round:
 1. Draw random states. For each, choose the cheapest node near it, or the nearest node.
 2. Extend all chosen nodes at once with random controls.
 3. Keep the new nodes that are the cheapest in their witness cell.
-4. Every `tail_every` rounds, let the regulator try to reach the goal from the most promising new nodes.
+4. Every `tail_every` rounds, let the regulator try to reach the goal from the most promising new nodes; if
+   nothing helps for long, computed torque tries too.
 5. Every `shrink_every` rounds, shrink the selection radius and the witness cells, and sort all nodes into the
    smaller cells (the star in SST*).
 
@@ -22,6 +23,7 @@ from jaxtyping import Float
 
 from planspace.demos.search_tree import SearchTree
 from planspace.physics.simulator import Simulator
+from planspace.plan.computed_torque import ComputedTorque
 from planspace.plan.diagnosis import explain_failure
 from planspace.plan.durations import num_steps
 from planspace.plan.metric import checked_distances
@@ -36,6 +38,9 @@ LEAST_CELLS = 0.25
 """Edges are lengthened if they cross less than this part of a witness cell, in the median."""
 BY_METRIC = 0.25
 """Fraction of greedy extensions if a metric is given and the setting `greedy` is 0."""
+PATIENCE = 24
+"""Rounds without a solution after which a robot with a motor on every joint is also driven to the goal by
+computed torque."""
 MAX_STRETCH = 32.0
 """Largest factor by which the duration of edges is multiplied."""
 GREED = 4.0
@@ -80,6 +85,7 @@ class SSTSearch:
         self.problem, self.regulator, self.goal = query.problem, query.regulator, query.goal
         self.simulator = _large_enough(query.simulator, config)
         self.servo = Servo(self.simulator)
+        self.torque = ComputedTorque(self.simulator)
         self.space = self.simulator.space
         self.metric = query.metric
         self.to_goal = np.empty(0)  # distance of each node to the goal by the metric
@@ -117,6 +123,8 @@ class SSTSearch:
             if (round_index + 1) % c.tail_every == 0:
                 finish.consider(np.concatenate(new))
                 new = []
+                if self.torque.fits and round_index >= PATIENCE and not finish.arrived:
+                    finish.drive()
         finish.consider(np.concatenate([np.empty(0, dtype=int), *new]))
         nearest = float(self.goal.distance(tree.states).min())
         steps += finish.simulated_steps
@@ -241,12 +249,27 @@ class _Finish:
         if not self.arrived and promise[order[0]] < self._promise:
             self._promise = promise[order[0]]
             self._node, self._tail = int(new[order[0]]), tails[0, : steps[0]]
+        self._keep_best(new[order], tails, steps, arrived)
+
+    def drive(self) -> None:
+        """Drive from the start and from the last new nodes to the goal by computed torque."""
+        query, tree = self.query, self.tree
+        last = np.arange(max(1, len(tree.costs) - query.config.tail_candidates + 1), len(tree.costs))
+        nodes = np.concatenate([[0], last])
+        tails, steps, arrived = query.torque.finish(query.goal, tree.states[nodes])
+        self.simulated_steps += int(steps.sum())
+        self._keep_best(nodes, tails, steps, arrived)
+
+    def _keep_best(
+        self, nodes: np.ndarray, tails: np.ndarray, steps: np.ndarray, arrived: np.ndarray
+    ) -> None:
+        """Keep the cheapest path that arrived, if it is cheaper than the best so far."""
         for i in np.flatnonzero(arrived):
             tail = tails[i, : steps[i]]
-            cost = tree.costs[new[order[i]]] + query.problem.step_cost(query.simulator, tail).sum()
+            cost = self.tree.costs[nodes[i]] + self.query.problem.step_cost(self.query.simulator, tail).sum()
             if cost < self.cost:
                 self.arrived, self.cost = True, float(cost)
-                self._node, self._tail = int(new[order[i]]), tail
+                self._node, self._tail = int(nodes[i]), tail
 
     def _consider_nodes(self, nodes: np.ndarray) -> None:
         if len(nodes) and self.tree.costs[nodes].min() < self.cost:
