@@ -5,6 +5,7 @@ import pytest
 
 from planspace.physics.simulator import Simulator
 from planspace.plan.computed_torque import ComputedTorque
+from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_demos
 from planspace.plan.motors import limit_accelerations
 from planspace.tasks.problem import Box, Goal, Problem
@@ -73,7 +74,7 @@ def test_underactuated_robots_have_no_computed_torque(name: str) -> None:
     assert not ComputedTorque(Simulator(*load_problem(name).compile(), 1)).fits
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_arm_with_strong_wrists_reaches_across_half_of_its_range() -> None:
-    demos = plan_demos(problem(), 1, workers=0, verbose=False, restarts=1)
+    demos = plan_demos(problem(), 1, config=PlanConfig(restarts=1), workers=0, verbose=False)
     assert np.abs(demos.episode(0).states[-1] - GOAL).sum() <= 0.1
