@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from planspace.rl.saved_policy import load_policy as load_policy
     from planspace.rl.trained import TrainedPolicies as TrainedPolicies
     from planspace.rl.training import train_policies as train_policies
+    from planspace.storage.hub import pull_from_hub as pull_from_hub
+    from planspace.storage.hub import push_to_hub as push_to_hub
     from planspace.tasks.gymnasium import GymTask as GymTask
     from planspace.tasks.problem import Problem as Problem
     from planspace.tasks.problem_file import load_problem as load_problem
@@ -69,6 +71,8 @@ _MODULE_OF = {
     "make_env": "planspace.envs.make",
     "measure_embedding": "planspace.embed.measurement",
     "plan_demos": "planspace.plan.demonstrations",
+    "pull_from_hub": "planspace.storage.hub",
+    "push_to_hub": "planspace.storage.hub",
     "torch_module": "planspace.embed.torch_module",
     "train_policies": "planspace.rl.training",
     "wrap": "planspace.envs.make",

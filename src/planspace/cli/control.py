@@ -48,7 +48,7 @@ class Control:
         Annotated[str, arg(metavar="PROBLEM|TASK|FILE.yaml", help=HELP, help_behavior_hint="(required)")]
     ] = ""
     embedding: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """The embedding folder; needed for --cost z."""
+    """The embedding folder, or the name of a ready-made one; needed for --cost z."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The run's folder. The same command continues an interrupted run; a larger --episodes adds to it."""
     episodes: Annotated[int, arg(metavar="N")] = 10

@@ -9,7 +9,8 @@ from tyro.conf import Positional, arg, subcommand
 from planspace.cli.demos_import import Import
 from planspace.cli.tables import print_values
 
-DemosFolder = Positional[Annotated[Path, arg(metavar="DEMOS", help="A dataset folder.")]]
+DEMOS_HELP = "A dataset folder, or the name of ready-made plans."
+DemosFolder = Positional[Annotated[Path, arg(metavar="DEMOS", help=DEMOS_HELP)]]
 Untrusted = Annotated[
     bool,
     arg(

@@ -37,7 +37,7 @@ class Embed:
     """
 
     demos: Positional[Annotated[Path | None, arg(metavar="DEMOS", help_behavior_hint="(required)")]] = None
-    """A dataset folder; or minari:ID, recorded from a planspace task."""
+    """A dataset folder; the name of ready-made plans; or minari:ID, recorded from a planspace task."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The embedding's folder. The same command continues an interrupted training."""
     objective: Annotated[str, arg(metavar="NAME|module.py:NAME", help=OBJECTIVE_HELP)] = "variational"

@@ -37,6 +37,7 @@ VERBS = {
     "curves": "Draw the learning curves of several runs in one figure.",
     "control": "Steer a robot to its goal by looking ahead, with the distance in z as the cost.",
     "play": "Play a trained policy and film it.",
+    "push": "Upload an embedding, plans or policies to the Hugging Face hub.",
     "study": "Run a study: many embeddings and policies, statistics and a report.",
     "report": "Write the report of a `planspace run` again.",
     "repair": "Find damaged files and set them aside.",

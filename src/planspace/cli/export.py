@@ -16,7 +16,7 @@ class Export:
     """
 
     embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
-    """An embedding folder."""
+    """An embedding folder, or the name of a ready-made one."""
     out: Positional[Annotated[Path, arg(metavar="FILE")]]
     """The file to write. Its suffix selects the format: .onnx."""
     to: Literal["onnx"] | None = None

@@ -24,9 +24,10 @@ class Measure:
     """
 
     embedding: Positional[Annotated[Path, arg(metavar="EMBEDDING")]]
-    """An embedding folder."""
+    """An embedding folder, or the name of a ready-made one."""
     demos: Positional[Annotated[Path, arg(metavar="DEMOS")]]
-    """A dataset folder whose states have the names that the embedding reads."""
+    """A dataset folder, or the name of ready-made plans. Its states must have the names that the embedding
+    reads."""
     truth: Annotated[Path | None, arg(metavar="FILE.npz", help_behavior_hint="(default: none)")] = None
     """Shortest times between states, if they are known, to compare with distances: `states` [n, state],
     `time` [n] in seconds, and `goals` [n, state] or one `goal` [state]. An optional `on_plans` [n] (bool)

@@ -19,7 +19,8 @@ class Play:
     """
 
     run: Positional[Annotated[Path, arg(metavar="RUN")]]
-    """The folder of a `planspace train`, or of a `planspace run` with policies of several arms."""
+    """The folder of a `planspace train`, or of a `planspace run` with policies of several arms; or the name
+    of a ready-made policy."""
     arm: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the only one)")] = ""
     """Which arm of a `planspace run` to play; without it the arms are listed."""
     task: Annotated[str, arg(metavar="TASK", help_behavior_hint="(default: that of the run)")] = ""

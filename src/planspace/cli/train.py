@@ -58,8 +58,8 @@ class Train:
     observations, a value beyond the time limit, minibatches of steps for PPO, and normalised layers of SAC's
     critics."""
     embedding: Annotated[tuple[Path, ...], arg(metavar="DIR ...", help_behavior_hint="(default: none)")] = ()
-    """Embedding folders that provide z. With several, seed s uses number s modulo their count, so that the
-    spread over seeds includes the spread over embeddings."""
+    """Embedding folders, or names of ready-made ones, that provide z. With several, seed s uses number s
+    modulo their count, so that the spread over seeds includes the spread over embeddings."""
     plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """A dataset of plans, for --resets, --replay, --clone and --clone-weight."""
     env_workers: Annotated[int, arg(metavar="N")] = 0

@@ -12,9 +12,11 @@ def load_demos(path: str | Path) -> Demos:
     """Read a dataset and verify every shard.
 
     Args:
-        path: a dataset folder, or `minari:ID` for a Minari dataset on this machine.
+        path: a dataset folder; the name of ready-made plans, such as `cartpole-swingup`; or `minari:ID` for a
+            Minari dataset on this machine.
 
     Raises:
+        UsageError: neither a folder nor ready-made plans have this name.
         PlanspaceError: there is no dataset, it has a newer schema, or a shard is missing or was altered (the
             message names it).
     """

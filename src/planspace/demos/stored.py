@@ -17,6 +17,7 @@ from planspace.demos.tree_shards import FOLDER, read_trees
 from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays, read_array
 from planspace.storage.checks import explain_memory_error, reject_malformed
+from planspace.storage.ready_made import PLANS, find_folder
 
 
 class StoredDemos:
@@ -26,13 +27,14 @@ class StoredDemos:
         """Open a dataset.
 
         Args:
-            path: the folder of the dataset.
+            path: the folder of the dataset, or the name of ready-made plans, such as `cartpole-swingup`.
 
         Raises:
+            UsageError: neither a folder nor ready-made plans have this name.
             PlanspaceError: the folder is not a dataset, has no demonstrations, is damaged, or has a newer
                 schema.
         """
-        self.path, self._verified = Path(path), False
+        self.path, self._verified = find_folder(path, PLANS), False
         manifest = read_manifest(self.path)
         self.info, self.settings, self._shards = manifest.info, manifest.settings, manifest.shards
         self._tree_shards = manifest.trees

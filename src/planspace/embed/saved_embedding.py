@@ -24,6 +24,8 @@ from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.files import make_folder
 from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.ready_made import EMBEDDING as READY_EMBEDDING
+from planspace.storage.ready_made import find_folder
 
 SCHEMA, ROTATION_SCHEMA = 2, 3
 """Files with quaternions have the second one, because earlier versions do not know them."""
@@ -72,15 +74,15 @@ def load_embedding(path: str | Path) -> Embedding:
     """Load an embedding that `planspace embed`, `fit_embedding` or `Embedding.save` wrote.
 
     Args:
-        path: its folder.
+        path: its folder, or the name of a ready-made one, such as `cartpole-swingup`.
 
     Raises:
         PlanspaceError: the folder is not an embedding, has a newer schema, or was altered since it was saved.
-        UsageError: `path` is not a path.
+        UsageError: `path` is not a path, or neither a folder nor a ready-made embedding has this name.
     """
     if not isinstance(path, str | PathLike):
         raise UsageError(f"expected the path of an embedding's folder, got {path!r:.60}.")
-    path = Path(path)
+    path = find_folder(path, READY_EMBEDDING)
     if not (path / DESCRIPTION).exists():
         if (path / CONFIG).exists():
             raise PlanspaceError(

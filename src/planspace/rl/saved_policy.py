@@ -20,6 +20,7 @@ from planspace.rl.stack import Activation, Stack, scaled
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import reject_malformed
 from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.ready_made import POLICY, find_folder
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.gymnasium import parse_gym_task
 from planspace.tasks.observation_types import MAX_OBS, OBSERVATION_TYPES, ObservationType, RewardType
@@ -141,9 +142,16 @@ def save_policies(run: Path, arrays: Arrays, about: PoliciesInfo) -> None:
 def find_runs(folder: Path) -> dict[str, Path]:
     """Find the training runs in a folder: the folder itself, or the arms of a `planspace run`.
 
+    Args:
+        folder: the folder, or the name of a ready-made policy, such as `cartpole-swingup`.
+
+    Raises:
+        UsageError: neither a folder nor a ready-made policy has this name.
+
     Returns:
         The folder of each run that holds policies, by the name of its arm; empty if no run has any.
     """
+    folder = find_folder(folder, POLICY)
     if (folder / DESCRIPTION).exists():
         return {folder.name: folder}
     return {file.parent.name: file.parent for file in sorted(folder.glob(f"train/*/{DESCRIPTION}"))}
@@ -153,14 +161,15 @@ def load_policy(run: str | Path, seed: int | Literal["best"] = "best") -> Policy
     """Load a policy of a training run. Its task is not needed.
 
     Args:
-        run: the folder that `planspace train` or `train_policies` wrote.
+        run: the folder that `planspace train` or `train_policies` wrote, or the name of a ready-made policy,
+            such as `cartpole-swingup`.
         seed: a seed of the run, or `best` for the one with the best return in the last evaluation.
 
     Raises:
         PlanspaceError: the run is not finished, was altered, or was written by a newer planspace.
-        UsageError: the run has no such seed.
+        UsageError: the run has no such seed, or neither a folder nor a ready-made policy has this name.
     """
-    run = Path(run)
+    run = find_folder(run, POLICY)
     if not (run / DESCRIPTION).exists():
         raise PlanspaceError(
             f"{run} holds no policies: it has no {DESCRIPTION}. `planspace train` makes them."
