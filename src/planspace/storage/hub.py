@@ -19,8 +19,7 @@ from planspace.storage.files import make_folder
 from planspace.storage.json_files import read_sealed
 
 REPO = r"(?:datasets/)?[\w.-]+/[\w.-]+"
-ADDRESS = re.compile(rf"hf:/{{1,2}}({REPO})@(.+)")
-"""`hf://owner/name@revision`; `Path` makes one slash of two."""
+ADDRESS = re.compile(rf"hf://({REPO})@(.+)")
 COMMIT = re.compile(r"[0-9a-f]{40}")
 PARTS = {
     "embedding.json": ("embedding.safetensors",),
@@ -137,9 +136,10 @@ def pull_address(address: str) -> Path | None:
     """
     if not address.startswith("hf:/"):
         return None
-    found = ADDRESS.fullmatch(address)
+    whole = f"hf://{address.removeprefix('hf:').lstrip('/')}"  # `Path` makes one slash of two
+    found = ADDRESS.fullmatch(whole)
     if found is None:
-        raise UsageError(f"an address on the hub is hf://owner/name@commit, got {quoted(address)}.")
+        raise UsageError(f"an address on the hub is hf://owner/name@commit, got {quoted(whole)}.")
     return pull_from_hub(found[1], found[2])
 
 
