@@ -27,7 +27,7 @@ DESCRIPTION = (
 )
 
 VERBS = {
-    "run": "Plan, embed, train and report in one command.",
+    "run": "Plan, embed, control in plan space and report in one command.",
     "plan": "Plan demonstrations from random starts to a goal.",
     "demos": "Show, check, draw, film, import and export demonstrations.",
     "embed": "Train an embedding on demonstrations.",

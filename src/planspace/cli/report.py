@@ -24,10 +24,12 @@ class Report:
     def __call__(self) -> None:
         """Write the report and print the summary."""
         from planspace.study.quickstart import rebuild
-        from planspace.study.run_summary import as_json, as_text
+        from planspace.study.run_summary import as_json
+        from planspace.study.run_text import as_text, headline
 
         summary = rebuild(self.folder)
         if self.json:
             print_json(as_json(summary))
         else:
             print(as_text(summary))
+            print(f"\n{headline(summary.control)}" if summary.control.reached else "")

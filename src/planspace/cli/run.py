@@ -15,12 +15,15 @@ TASK_HELP = f"One of {', '.join(task_names())}; or FILE.yaml, your own problem f
 
 @dataclass(frozen=True)
 class Run:
-    """Plan, embed, train and report in one command."""
+    """Plan, embed, control in plan space and report in one command."""
 
     task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP)]] = "cartpole-swingup"
     budget: Literal["smoke", "small", "full"] = "small"
-    """smoke: half a minute, to see that it works. small: five minutes, a first result. full: 300
-    demonstrations and 15 policies of 2 M steps for each arm."""
+    """smoke: under a minute, to see that it works. small: five minutes, a first result. full: 300
+    demonstrations, 200 starts, and with --train 15 policies of 2 M steps for each arm."""
+    train: bool = False
+    """Also train policies with and without z. Added to the command of a finished run, it continues the
+    run."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: runs/TASK-BUDGET)")] = None
     """The run's folder. The same command continues an interrupted run."""
     seed: int = 0
@@ -30,15 +33,17 @@ class Run:
         """Run every stage and print the summary."""
         from planspace.storage.compiled import use_compilation_cache
         from planspace.study.quickstart import run
-        from planspace.study.run_summary import as_text
+        from planspace.study.run_text import as_text, headline
 
         check_least(self, seed=0)
         use_compilation_cache()
         name = Path(self.task).stem if is_problem_file(self.task) else self.task
         out = self.out or Path("runs") / f"{name}-{self.budget}"
-        summary = run(self.task, self.budget, out, self.seed)
+        summary = run(self.task, self.budget, out, self.seed, train=self.train)
         print(as_text(summary))
         print(f"\nreport           {out / 'report.html'}")
+        if said := headline(summary.control):
+            print(f"\n{said}")
         diverged = f"training diverged: {'; '.join(summary.diverged)}." if summary.diverged else ""
         if problems := " ".join(filter(None, (summary.unsolved, diverged))):
             raise PartialResult(problems)

@@ -66,6 +66,7 @@ def control_into(  # noqa: PLR0913
     seed: int,
     episode_s: float | None = None,
     workers: int | None = None,
+    label: str = "control",
 ) -> ControlSummary:
     """Control episodes into a run folder; those that it holds are kept.
 
@@ -81,6 +82,7 @@ def control_into(  # noqa: PLR0913
         seed: seed of starts, goals and samples.
         episode_s: length of an episode [s]; by default the task's.
         workers: number of processes; by default one for each CPU, 0 for none.
+        label: what the progress bar says.
 
     Returns:
         What all episodes amount to.
@@ -105,7 +107,7 @@ def control_into(  # noqa: PLR0913
         remaining = range(whole.next_index, num)
         if remaining:
             with closing(control_all(plant, embedding, config, seed, remaining, steps, workers)) as episodes:
-                _extend(out, whole, demos, _shown(remaining, episodes))
+                _extend(out, whole, demos, _shown(label, remaining, episodes))
         return summarise(out, config)
 
 
@@ -149,6 +151,16 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
     )
 
 
+def successes(out: Path) -> list[bool]:
+    """Whether each episode of a run folder succeeded, in the order of the episodes.
+
+    Raises:
+        PlanspaceError: the log is missing or damaged.
+    """
+    with reject_malformed(out / LOG):
+        return [bool(row["success"]) for row in sorted(read_rows(out / LOG), key=lambda row: row["episode"])]
+
+
 def _extend(
     out: Path, whole: DemoFolder, demos: DemoFolder, episodes: Iterable[tuple[int, ControlledEpisode]]
 ) -> None:
@@ -162,11 +174,11 @@ def _extend(
 
 
 def _shown(
-    remaining: range, episodes: Iterator[ControlledEpisode]
+    label: str, remaining: range, episodes: Iterator[ControlledEpisode]
 ) -> Iterator[tuple[int, ControlledEpisode]]:
     """Number the episodes, and show the progress."""
     held = 0
-    with progress("control", remaining.stop, done=remaining.start, unit="episode") as bar:
+    with progress(label, remaining.stop, done=remaining.start, unit="episode") as bar:
         for i, episode in zip(remaining, episodes, strict=True):
             yield i, episode
             held += episode.success

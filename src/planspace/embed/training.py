@@ -53,6 +53,8 @@ def train(samples: Samples, config: FitConfig, seeds: Sequence[int], out: Path, 
     chunk = max(CHUNK, -(-config.steps // MAX_CHUNKS))
     advance = make_advance(keys, samples, config, chunk)
     with progress("embed", config.steps, done=first, unit="step") as bar:
+        if first < config.steps:
+            bar.set_postfix_str("compiling")
         while first < config.steps:
             length = min(chunk, config.steps - first)
             after, terms = advance(state, first, length)

@@ -1,82 +1,116 @@
-"""Draw what a controller did beside the plans that its embedding was trained on, with Plotly."""
+"""Draw what controllers did beside the plans that their embedding was trained on, with Plotly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from jaxtyping import Float
 
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding
+from planspace.embed.embedding import Embedding, norm
 from planspace.figures.projection import principal_components
-from planspace.figures.style import COLOURS, END_COLOUR
+from planspace.figures.style import COLOURS
 from planspace.figures.thinning import thin_paths
 
+CAMERA = {"eye": {"x": 1.7, "y": -1.8, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.15}}
 MAX_POINTS = 20_000
 """About this many points of a group of paths are drawn."""
 PLAN_COLOUR = "#b4bcc8"
-CONTROLLED, PLANNED = "controlled episode", "plan"
+PLANS = "plan"
+"""Name of the group that is drawn in grey; every other group is drawn in a colour, with its ends."""
 
 
-def paths_beside_plans(embedding: Embedding, controlled: Demos, plans: Demos | None) -> go.Figure:
-    """Draw episodes and plans as paths in z.
+@dataclass(frozen=True)
+class PlotSpace:
+    """What paths are drawn in: z, or the standardised states that the encoder reads."""
 
-    A z with more than three dimensions is drawn in its first three principal components.
+    name: str
+    """`z` or `the standardised state`."""
+    axis: str
+    """Name of a coordinate, without its number."""
+    columns: tuple[int, ...]
+    """Columns of a state that the embedding reads."""
+    points: Callable[[np.ndarray], np.ndarray]
+    """States [time, state] to points [time, axis]."""
+
+    @classmethod
+    def z(cls, embedding: Embedding, demos: Demos) -> "PlotSpace":
+        """The space of z, for states with the names of these demonstrations."""
+        return cls("z", "z", embedding.columns_of(demos.info.names), embedding.encode)
+
+    @classmethod
+    def raw(cls, embedding: Embedding, demos: Demos) -> "PlotSpace":
+        """The space of the standardised states, for states with the names of these demonstrations."""
+        return cls(
+            "the standardised state", "input ", embedding.columns_of(demos.info.names), embedding.inputs
+        )
+
+    def of(self, states: np.ndarray) -> np.ndarray:
+        """Points of states [..., state]."""
+        return self.points(states[..., list(self.columns)])
+
+
+def draw_paths(space: PlotSpace, groups: Mapping[str, Demos]) -> go.Figure:
+    """Draw groups of episodes as paths.
+
+    A space with more than three dimensions is drawn in its first three principal components.
 
     Args:
-        embedding: the embedding.
-        controlled: the controlled episodes.
-        plans: plans to draw in grey; None for none.
+        space: what they are drawn in.
+        groups: the episodes by the name in the legend, the front ones first; `PLANS` is grey.
     """
-    groups = [_encoded(embedding, demos) for demos in (controlled, plans) if demos is not None]
-    points = np.concatenate([z for group in groups for z in group])
-    labels = [f"z{k + 1}" for k in range(embedding.z_dim)]
-    if embedding.z_dim > 3:
+    encoded = {
+        name: [space.of(demos.episode(i).states) for i in range(len(demos))] for name, demos in groups.items()
+    }
+    points = np.concatenate([path for paths in encoded.values() for path in paths])
+    labels = [f"{space.axis}{k + 1}" for k in range(points.shape[1])]
+    if len(labels) > 3:
         points, _ = principal_components(points, 3)
-        labels = [f"component {k + 1} of z" for k in range(3)]
+        labels = [f"component {k + 1}" for k in range(3)]
     figure = go.Figure()
     taken = 0
-    for group, name, colour in zip(groups, (CONTROLLED, PLANNED), (COLOURS[0], PLAN_COLOUR), strict=False):
-        lengths = [len(z) for z in group]
-        paths = np.split(points[taken : taken + sum(lengths)], np.cumsum(lengths)[:-1])
+    for (name, paths), colour in zip(encoded.items(), _colours(groups), strict=True):
+        lengths = [len(path) for path in paths]
+        drawn = np.split(points[taken : taken + sum(lengths)], np.cumsum(lengths)[:-1])
         taken += sum(lengths)
-        _add_lines(figure, paths, name, colour)
-        if name == CONTROLLED:
-            _add_ends(figure, [path[-1] for path in paths])
+        _add_lines(figure, drawn, name, colour)
+        if name != PLANS:
+            _add_ends(figure, [path[-1] for path in drawn], name, colour)
     axes = {f"{axis}axis": {"title": {"text": label}} for axis, label in zip("xyz", labels, strict=False)}
-    layout: dict[str, Any] = {"scene": {**axes, "aspectmode": "data"}} if len(labels) == 3 else axes
+    scene = {**axes, "aspectmode": "data", "camera": CAMERA}
+    layout: dict[str, Any] = {"scene": scene} if len(labels) == 3 else axes
     figure.update_layout(**layout)
     return figure
 
 
-def distance_beside_plans(embedding: Embedding, controlled: Demos, plans: Demos | None) -> go.Figure:
-    """Draw the distance to the goal in z against the time since the start.
+def draw_distances(space: PlotSpace, groups: Mapping[str, Demos]) -> go.Figure:
+    """Draw the distance to the goal against the time since the start.
 
     Args:
-        embedding: the embedding.
-        controlled: the controlled episodes.
-        plans: plans to draw in grey; None for none.
+        space: what distances are measured in.
+        groups: the episodes by the name in the legend, the front ones first; `PLANS` is grey.
     """
     figure = go.Figure()
-    for demos, name, colour in ((plans, PLANNED, PLAN_COLOUR), (controlled, CONTROLLED, COLOURS[0])):
-        if demos is not None:
-            columns = list(embedding.columns_of(demos.info.names))
-            curves = []
-            for i in range(len(demos)):
-                episode = demos.episode(i)
-                away = embedding.distance(episode.states[:, columns], episode.goal[columns])
-                curves.append(np.column_stack([episode.times, away]))
-            _add_lines(figure, curves, name, colour)
+    for (name, demos), colour in reversed(list(zip(groups.items(), _colours(groups), strict=True))):
+        curves = []
+        for i in range(len(demos)):
+            episode = demos.episode(i)
+            away = norm(space.of(episode.states) - space.of(episode.goal))
+            curves.append(np.column_stack([episode.times, away]))
+        _add_lines(figure, curves, name, colour)
     figure.update_layout(
-        xaxis_title="time [s]", yaxis_title="distance to the goal in z", yaxis_rangemode="tozero"
+        xaxis_title="time [s]",
+        yaxis_title=f"distance to the goal in {space.name}",
+        yaxis_rangemode="tozero",
+        legend_traceorder="reversed",
     )
     return figure
 
 
-def _encoded(embedding: Embedding, demos: Demos) -> list[Float[np.ndarray, "time z"]]:
-    columns = list(embedding.columns_of(demos.info.names))
-    return [embedding.encode(demos.episode(i).states[:, columns]) for i in range(len(demos))]
+def _colours(groups: Mapping[str, Demos]) -> list[str]:
+    coloured = [name for name in groups if name != PLANS]
+    return [PLAN_COLOUR if name == PLANS else COLOURS[coloured.index(name)] for name in groups]
 
 
 def _add_lines(figure: go.Figure, paths: Sequence[np.ndarray], name: str, colour: str) -> None:
@@ -88,11 +122,17 @@ def _add_lines(figure: go.Figure, paths: Sequence[np.ndarray], name: str, colour
         zip("xyz", ([None if np.isnan(x) else x for x in column] for column in whole.T), strict=False)
     )
     add = figure.add_scatter3d if len(columns) == 3 else figure.add_scatter
-    add(**columns, mode="lines", name=name, line={"color": colour, "width": 3 if len(columns) == 3 else 1.5})
+    add(
+        **columns,
+        mode="lines",
+        name=name,
+        legendgroup=name,
+        line={"color": colour, "width": 3 if len(columns) == 3 else 1.5},
+    )
 
 
-def _add_ends(figure: go.Figure, ends: Sequence[np.ndarray]) -> None:
+def _add_ends(figure: go.Figure, ends: Sequence[np.ndarray], name: str, colour: str) -> None:
     columns = dict(zip("xyz", np.round(np.stack(ends), 4).T.tolist(), strict=False))
-    mark = {"size": 4 if len(columns) == 3 else 8, "color": END_COLOUR}
+    mark = {"size": 4 if len(columns) == 3 else 8, "color": colour}
     add = figure.add_scatter3d if len(columns) == 3 else figure.add_scatter
-    add(**columns, mode="markers", name="end of an episode", marker=mark)
+    add(**columns, mode="markers", name=name, legendgroup=name, showlegend=False, marker=mark)

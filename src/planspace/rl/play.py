@@ -71,7 +71,11 @@ def _task_of(policy: Policy, task: AnyTask | None) -> AnyTask:
 
 @np.errstate(over="ignore", invalid="ignore")  # the policy checks that its actions are finite
 def play(
-    policy: Policy, num: int, seed: int, task: AnyTask | None = None
+    policy: Policy,
+    num: int,
+    seed: int,
+    task: AnyTask | None = None,
+    starts: Float[np.ndarray, "episode state"] | None = None,
 ) -> tuple[Float[np.ndarray, " episode"], Demos]:
     """Play episodes without exploration.
 
@@ -80,6 +84,7 @@ def play(
         num: number of episodes.
         seed: seed of the first episode's start; the others follow it.
         task: its task, if planspace does not ship it and the run does not hold it.
+        starts: the state in which each episode starts; by default the seeds draw them.
 
     Returns:
         The return of each episode, and the episodes.
@@ -93,7 +98,7 @@ def play(
     described, step = _described_states(task, env)
     returns, episodes = np.zeros(num), []
     for i in range(num):
-        obs, info = env.reset(seed=seed + i)
+        obs, info = env.reset(seed=seed + i, options=None if starts is None else {"state": starts[i]})
         states, actions, ended = [info["state"]], [], False
         while not ended:
             action = policy(obs)

@@ -13,7 +13,7 @@ from planspace.demos.load import load_demos
 from planspace.demos.render import FilmConfig, render_demos, render_side_by_side
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
-from planspace.figures.controlled_paths import distance_beside_plans, paths_beside_plans
+from planspace.figures.controlled_paths import PLANS, PlotSpace, draw_distances, draw_paths
 from planspace.study.figures import plain_layout
 from planspace.study.html import embedded, write_page
 
@@ -61,13 +61,14 @@ def write_control_report(
         raise UsageError("the plans have other states than the episodes: give plans of the same problem.")
     if film and not (out / FILM).exists():
         film_beside_plans(episodes, plans, out / FILM)
-    few = _chosen(episodes, range(min(len(episodes), DRAWN)))
-    some = None if plans is None else _chosen(plans, range(min(len(plans), DRAWN)))
     figures = {"paths": "", "distance": ""}
     if embedding is not None:
-        layout = plain_layout()
-        figures["paths"] = embedded(paths_beside_plans(embedding, few, some).update_layout(**layout))
-        figures["distance"] = embedded(distance_beside_plans(embedding, few, some).update_layout(**layout))
+        groups = {"controlled episode": first_episodes(episodes, DRAWN)}
+        if plans is not None:
+            groups[PLANS] = first_episodes(plans, DRAWN)
+        space, layout = PlotSpace.z(embedding, episodes), plain_layout()
+        figures["paths"] = embedded(draw_paths(space, groups).update_layout(**layout))
+        figures["distance"] = embedded(draw_distances(space, groups).update_layout(**layout))
     return write_page(
         out / REPORT,
         "control.html",
@@ -75,7 +76,7 @@ def write_control_report(
         summary=summary,
         cost=config.cost,
         plans=plans is not None,
-        film=_as_data(out / FILM) if film else "",
+        film=as_data(out / FILM) if film else "",
         rows=[(name, f"{getattr(summary, name):.3g}", hint) for name, hint in HINTS.items()],
         **figures,
     )
@@ -96,19 +97,27 @@ def film_beside_plans(episodes: Demos, plans: Demos | None, file: Path, config: 
     if plans is None:
         render_demos(episodes, file, config)
         return
+    shown = first_episodes(episodes, config.episodes)
+    render_side_by_side({PLANS: nearest_plans(plans, shown), "controller": shown}, file, config)
+
+
+def nearest_plans(plans: Demos, episodes: Demos) -> Demos:
+    """For each episode, the plan whose start is nearest; states are divided by their standard deviation."""
     starts = np.stack([plans.episode(i).states[0] for i in range(len(plans))])
     scale = starts.std(axis=0) + 1e-9
-    shown = range(min(config.episodes, len(episodes)))
-    nearest = [
-        int(np.argmin(np.abs((starts - episodes.episode(i).states[0]) / scale).sum(axis=1))) for i in shown
-    ]
-    columns = {"plan": _chosen(plans, nearest), "controller": episodes}
-    render_side_by_side(columns, file, config)
+    firsts = [episodes.episode(i).states[0] for i in range(len(episodes))]
+    return _chosen(plans, [int(np.argmin(np.abs((starts - x) / scale).sum(axis=1))) for x in firsts])
+
+
+def first_episodes(demos: Demos, num: int) -> Demos:
+    """The first episodes of a dataset, at most `num`."""
+    return _chosen(demos, range(min(len(demos), num)))
 
 
 def _chosen(demos: Demos, numbers: Iterable[int]) -> Demos:
     return Demos.from_episodes(demos.info, [demos.episode(i) for i in numbers])
 
 
-def _as_data(file: Path) -> str:
-    return "data:image/gif;base64," + base64.b64encode(file.read_bytes()).decode()
+def as_data(film: Path) -> str:
+    """A GIF as the source of an image in a page."""
+    return "data:image/gif;base64," + base64.b64encode(film.read_bytes()).decode()

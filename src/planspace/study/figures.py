@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib.figure
@@ -20,21 +21,28 @@ from planspace.study.tables import ArmRow
 Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the fraction of seeds above each."""
 DASHES = ("solid", "dash", "dot")
+NO_BANDS: Mapping[str, Curve] = MappingProxyType({})
 MAX_PATHS = 20
 """Number of demonstrations that `plot_paths` draws. More would hide each other."""
 
 
-def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
-    """Learning curves by the arm's label. Bands are left out if there are more than `MAX_BANDS` arms."""
+def interactive_curves(
+    curves: Mapping[str, Curve],
+    bands: Mapping[str, Curve] = NO_BANDS,
+    solved: float | None = None,
+) -> go.Figure:
+    """Learning curves by the arm's label. Bands are left out if there are more than `MAX_BANDS` arms.
+
+    Args:
+        curves: the curves.
+        bands: curves of other seeds, by the same labels; their bands replace those of `curves`.
+        solved: the return from which on the task is solved, drawn as a line; None draws no line.
+    """
     figure = go.Figure()
     if len(curves) > MAX_BANDS:
         return _interactive_means(curves)
     for colour, (label, c) in zip(itertools.cycle(COLOURS), curves.items(), strict=False):
-        band = {"mode": "lines", "line_width": 0, "hoverinfo": "skip", "legendgroup": label}
-        figure.add_scatter(x=c.steps, y=c.high, showlegend=False, **band)
-        figure.add_scatter(
-            x=c.steps, y=c.low, fill="tonexty", fillcolor=_faint(colour), showlegend=False, **band
-        )
+        _add_band(figure, label, bands.get(label, c), colour)
         figure.add_scatter(
             x=c.steps,
             y=c.mean,
@@ -43,6 +51,8 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
             mode="lines",
             line={"color": colour, "width": 3},
         )
+        if bands:
+            continue
         figure.add_scatter(
             x=c.steps,
             y=c.best,
@@ -52,10 +62,18 @@ def interactive_curves(curves: Mapping[str, Curve]) -> go.Figure:
             mode="lines",
             line={"color": colour, "width": 1, "dash": "dash"},
         )
+    if solved is not None:
+        figure.add_hline(y=solved, line={"color": "#888", "dash": "dot"}, annotation_text="solved")
     figure.update_layout(
         xaxis_title="environment steps per seed", yaxis_title="episode return", **_flat_layout()
     )
     return figure
+
+
+def _add_band(figure: go.Figure, label: str, c: Curve, colour: str) -> None:
+    band = {"mode": "lines", "line_width": 0, "hoverinfo": "skip", "legendgroup": label}
+    figure.add_scatter(x=c.steps, y=c.high, showlegend=False, **band)
+    figure.add_scatter(x=c.steps, y=c.low, fill="tonexty", fillcolor=_faint(colour), showlegend=False, **band)
 
 
 def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:

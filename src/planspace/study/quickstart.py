@@ -1,24 +1,24 @@
-"""`planspace run`: plan, embed, train and report in one command."""
+"""`planspace run`: plan, embed, control in plan space, and train policies on request, in one command."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import planspace
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
-from planspace.embed.config import PRESETS, FitConfig
 from planspace.embed.fit import fit_embedding
 from planspace.errors import PartialResult, PlanspaceError, unknown
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into
-from planspace.rl.config import TrainConfig
-from planspace.rl.history import frozen_seeds
-from planspace.rl.training import train_policies
+from planspace.plan.sst import SST
 from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json, write_json
 from planspace.storage.runs import lock_folder, open_run
+from planspace.study.budgets import BUDGETS, Budget, BudgetName
 from planspace.study.quickstart_report import write_report
+from planspace.study.run_control import control_stage
+from planspace.study.run_policies import TRAIN, train_arms, verdicts
 from planspace.study.run_summary import ArmReturns, DemosSummary, GeometrySummary, RunSummary, as_json
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Problem
@@ -26,63 +26,18 @@ from planspace.tasks.problem_file import load_problem
 from planspace.tasks.stored_task import save_task, stored_task, task_content
 from planspace.tasks.task import Task
 
-BudgetName = Literal["smoke", "small", "full"]
 
-
-@dataclass(frozen=True)
-class Budget:
-    """How much of each stage to run."""
-
-    demos: int
-    """Number of demonstrations to plan."""
-    planner: PlanConfig
-    """Settings of planning."""
-    fit: FitConfig
-    """Settings of training the embedding."""
-    embedding_seeds: int
-    """Number of embedding seeds. The best one is selected."""
-    seeds: int
-    """Number of policy seeds per arm."""
-    steps: int
-    """Environment steps per policy seed."""
-
-
-BUDGETS: dict[str, Budget] = {
-    "smoke": Budget(
-        demos=12,
-        planner=PlanConfig(restarts=1),
-        fit=replace(PRESETS["modern"], steps=1_500),
-        embedding_seeds=5,
-        seeds=5,
-        steps=40_000,
-    ),
-    "small": Budget(
-        demos=60,
-        planner=PlanConfig(),
-        fit=PRESETS["modern"],
-        embedding_seeds=5,
-        seeds=5,
-        steps=960_000,
-    ),
-    "full": Budget(
-        demos=300,
-        planner=PlanConfig(),
-        fit=PRESETS["modern"],
-        embedding_seeds=5,
-        seeds=15,
-        steps=2_000_000,
-    ),
-}
-
-
-def run(given: str | Path | Task, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
-    """Plan, embed, train and report. Finished stages are kept, and an interrupted stage is resumed.
+def run(
+    given: str | Path | Task, budget_name: BudgetName, out: Path, seed: int, *, train: bool = False
+) -> RunSummary:
+    """Plan, embed, control and report. Finished stages are kept, and an interrupted stage is resumed.
 
     Args:
         given: a task's command-line name, the path of a problem file, or a task with a planning problem.
         budget_name: a key of `BUDGETS`.
         out: the run's folder.
         seed: the seed of every stage.
+        train: also train policies with and without z. A folder that has policies keeps them.
 
     Returns:
         The summary that `summary.json` holds.
@@ -96,25 +51,21 @@ def run(given: str | Path | Task, budget_name: BudgetName, out: Path, seed: int)
     with lock_folder(out):
         open_run(out, _config(task, budget_name, BUDGETS[budget_name], seed))
         save_task(task, out)
-        return _run_stages(task, budget_name, out, seed)
+        return _run_stages(task, budget_name, out, seed, train or (out / TRAIN).exists())
 
 
-def _run_stages(task: Task, budget_name: BudgetName, out: Path, seed: int) -> RunSummary:
+def _run_stages(task: Task, budget_name: BudgetName, out: Path, seed: int, train: bool) -> RunSummary:
     budget = BUDGETS[budget_name]
     problem = load_problem(task.problem)
     demos, unsolved = _plan(problem, out / "demos", budget, seed)
     embedding = fit_embedding(
         demos, config=budget.fit, out=out / "embedding", num_seeds=budget.embedding_seeds, seed=seed
     )
-    arms = _arms(task, budget, seed)
-    histories = {
-        label: train_policies(
-            task, config, embedding=embedding if config.z != "none" else None, out=out / "train" / folder
-        ).history
-        for label, folder, config in arms
-    }
-    diverged = [(label, frozen_seeds(histories[label], config.seeds)) for label, _, config in arms]
+    control = control_stage(task, embedding, out, budget.control, seed)
+    policies = train_arms(task, embedding, out, budget, seed) if train else None
+    histories = {} if policies is None else policies.histories
     summary = RunSummary(
+        control=control,
         task=task.name,
         budget=budget_name,
         seed=seed,
@@ -122,24 +73,32 @@ def _run_stages(task: Task, budget_name: BudgetName, out: Path, seed: int) -> Ru
         demos=DemosSummary.of(demos),
         geometry=GeometrySummary.of(embedding.require_about()),
         arms={label: ArmReturns.of(history) for label, history in histories.items()},
-        diverged=tuple(f"{label}: {text}" for label, text in diverged if text),
+        diverged=() if policies is None else policies.diverged,
+        verdicts=verdicts(histories),
         unsolved=unsolved,
     )
     write_json(out / "summary.json", as_json(summary))
-    write_report(out, summary, demos, embedding, histories)
+    write_report(out, summary, task, demos, embedding, policies)
     return summary
 
 
 def _plan(problem: Problem, out: Path, budget: Budget, seed: int) -> tuple[Demos, str]:
     """The demonstrations, and the message about those that were not found; a run goes on without them."""
     try:
-        plan_into(problem, out, num=budget.demos, seed=seed, config=budget.planner)
+        plan_into(problem, out, num=budget.demos, seed=seed, config=_planner(problem, budget))
     except PartialResult as partial:
         try:
             return load_demos(out), str(partial)
         except PlanspaceError:  # none was found
             raise partial from None
     return load_demos(out), ""
+
+
+def _planner(problem: Problem, budget: Budget) -> PlanConfig:
+    """The planner of the budget; that of the problem if it has settings of its own."""
+    if problem.planner == SST.name and not problem.settings:
+        return budget.planner
+    return PlanConfig.for_problem(problem, restarts=budget.planner.restarts)
 
 
 def rebuild(out: Path) -> RunSummary:
@@ -173,16 +132,3 @@ def _config(task: Task, budget_name: str, budget: Budget, seed: int) -> dict[str
         "settings": asdict(budget),
         "version": planspace.__version__,
     }
-
-
-def _arms(task: Task, budget: Budget, seed: int) -> list[tuple[str, str, TrainConfig]]:
-    """Label, folder and settings of each arm. Tasks that observe sin and cos already have no `trig` arm."""
-    base = TrainConfig(num_seeds=budget.seeds, seed=seed, steps=budget.steps)
-    raw = ("raw", "raw", base)
-    if not task.sin_cos_columns:
-        return [raw, ("raw + z", "raw-z", replace(base, z="augment"))]
-    return [
-        raw,
-        ("raw + sin/cos", "trig", replace(base, obs="trig")),
-        ("raw + sin/cos + z", "trig-z", replace(base, obs="trig", z="augment")),
-    ]

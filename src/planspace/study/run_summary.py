@@ -1,8 +1,8 @@
-"""The summary of a `planspace run`: declared types, `summary.json`, and a table for a terminal."""
+"""The summary of a `planspace run`: declared types, and `summary.json`."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from planspace.demos.dataset import Demos
 from planspace.embed.about import About
 from planspace.storage.arrays import Arrays
 from planspace.study.results import Metrics
+from planspace.study.run_control import ControlResults
 
 NEAR_GOAL = 0.5
 """Demonstrations that end within this L1 distance of the goal count as near it."""
@@ -104,6 +105,8 @@ class ArmReturns:
 class RunSummary:
     """The results of a `planspace run`."""
 
+    control: ControlResults
+    """Success of control by distance in z, by raw distance and by reward."""
     task: str
     budget: str
     seed: int
@@ -112,9 +115,11 @@ class RunSummary:
     demos: DemosSummary
     geometry: GeometrySummary
     arms: Mapping[str, ArmReturns]
-    """Final returns by the arm's label."""
+    """Final returns by the arm's label; empty without `--train`."""
     diverged: tuple[str, ...]
     """One text per arm with seeds that diverged."""
+    verdicts: tuple[str, ...] = ()
+    """Whether the seeds separate the arms, one sentence per pair."""
     unsolved: str = ""
     """The message about demonstrations that were not found; empty if all were."""
 
@@ -123,6 +128,7 @@ def as_json(summary: RunSummary) -> dict[str, Any]:
     """The content of `summary.json`. Scripts read its keys: they may not change."""
     demos, geometry = summary.demos, summary.geometry
     return {
+        "control": _control_json(summary.control),
         "task": summary.task,
         "budget": summary.budget,
         "seed": summary.seed,
@@ -142,6 +148,21 @@ def as_json(summary: RunSummary) -> dict[str, Any]:
         },
         "arms": {label: _arm_json(arm) for label, arm in summary.arms.items()},
         "diverged": list(summary.diverged),
+        "verdicts": list(summary.verdicts),
+    }
+
+
+def _control_json(control: ControlResults) -> dict[str, Any]:
+    """The comparison of z with raw distance; null where control was left out."""
+    found = control.reached
+    return {
+        "success": None if found is None else {**asdict(found), "interval": list(found.interval)},
+        "by_horizon": {
+            "horizons_s": list(control.horizons),
+            "starts": control.horizon_starts,
+            "successes": {cost: list(counts) for cost, counts in control.by_horizon},
+        },
+        "notes": list(control.notes),
     }
 
 
@@ -154,35 +175,6 @@ def _arm_json(arm: ArmReturns) -> dict[str, int | float]:
         "best": arm.best,
         "deviation": arm.standard_deviation,
     }
-
-
-def as_text(summary: RunSummary) -> str:
-    """The summary as text for a terminal."""
-    demos, geometry = summary.demos, summary.geometry
-    lines = [
-        f"{summary.task}, budget {summary.budget}, seed {summary.seed}",
-        "",
-        f"demonstrations   {demos.count} planned, {demos.fraction_near_goal:.0%} end within "
-        f"{demos.near_goal} of the goal (median {demos.median_end_distance:.3f}), median duration "
-        f"{demos.median_duration_s:.2f} s",
-        "",
-        f"geometry on {geometry.embedding['num_demos']} test demos    z     raw state",
-    ]
-    lines += [
-        f"  {name:<22}{_metric(geometry.embedding[key]):>8}{_metric(geometry.raw_state[key]):>12}   {hint}"
-        for key, name, hint in GEOMETRY_ROWS
-    ]
-    lines += ["", f"return of TRPO, last {FINAL_ITERATIONS} iterations    mean     worst      best   seeds"]
-    lines += [
-        f"  {label:<28}{arm.mean:>12.1f}{arm.worst:>10.1f}{arm.best:>10.1f}{arm.seeds:>8}"
-        for label, arm in summary.arms.items()
-    ]
-    return "\n".join(lines)
-
-
-def _metric(value: float | None) -> str:
-    """A metric with three decimals; `-` if too few demonstrations define it."""
-    return "-" if value is None else f"{value:.3f}"
 
 
 def _without_nan(metrics: Metrics) -> Metrics:
