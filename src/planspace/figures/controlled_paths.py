@@ -101,7 +101,7 @@ def draw_distances(space: PlotSpace, groups: Mapping[str, Demos]) -> go.Figure:
         _add_lines(figure, curves, name, colour)
     figure.update_layout(
         xaxis_title="time [s]",
-        yaxis_title=f"distance to the goal in {space.name}",
+        yaxis_title=f"distance in {space.name}",
         yaxis_rangemode="tozero",
         legend_traceorder="reversed",
     )

@@ -88,7 +88,12 @@ def _control(
     groups[PLANS] = first_episodes(demos, DRAWN)
     spaces = PlotSpace.z(embedding, demos), PlotSpace.raw(embedding, demos)
     film, note = _film(out, task, demos, controlled, policies)
-    narrow = {**plain_layout(), "height": 380, "margin": {"l": 45, "r": 10, "t": 10, "b": 45}}
+    narrow = {
+        **plain_layout(),
+        "height": 400,
+        "margin": {"l": 45, "r": 10, "t": 60, "b": 45},
+        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom"},
+    }
     return {
         "film": film,
         "film_note": note,
