@@ -9,14 +9,12 @@ from planspace.cli import main
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.search_tree import SearchTree
-from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.envs.episodes import TaskEpisodes
 from planspace.envs.plan_starts import PlanStarts
 from planspace.envs.task import TaskEnv
 from planspace.errors import PlanspaceError, UsageError
-from planspace.physics.simulator import Simulator
 from planspace.rl import arm, training
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig
@@ -26,8 +24,10 @@ from planspace.rl.plans import Plans
 from planspace.rl.rollout import Rollout, collect
 from planspace.rl.training import train_policies
 from planspace.seams import plain_settings
-from planspace.tasks.catalog import TASKS, find_task
+from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task
+
+from .reaches import reaches
 
 TASK = "cartpole-swingup"
 QUICK = TrainConfig(num_seeds=1, steps=800, batch_steps=400, resets=0.5)
@@ -164,28 +164,6 @@ def test_transitions_are_steps_of_the_task(demos: Demos, reward: Any) -> None:
                 assert (found.rewards[row], found.terminated[row]) == (paid, terminated)
             row += 1
     assert row == len(found.obs)
-
-
-def reaches() -> tuple[Task, Demos]:
-    """A task that draws goals, and three plans of it; the goal of the second one is not known."""
-    task = find_task("reacher-random")
-    assert isinstance(task, Task)
-    model, space = task.compile()
-    simulator = Simulator(model, space, 3, threads=1)
-    states = [np.zeros((3, 4))]
-    simulator.reset(states[0])
-    controls = np.array([[0.5, 0.0], [-0.5, 0.2], [0.0, -0.3]])
-    for _ in range(5):
-        simulator.step(controls, task.frame_skip)
-        states.append(simulator.states())
-    times = task.frame_skip * model.opt.timestep * np.arange(6)
-    goals = [np.array([0.3, 0.1, 0.0, 0.0]), np.full(4, np.nan), np.array([0.1, -0.2, 0.0, 0.0])]
-    episodes = [
-        Episode(np.stack(states)[:, i], np.tile(controls[i], (5, 1)), times, goals[i], False, i, 0)
-        for i in range(3)
-    ]
-    info = StateInfo.of_model(model, space, problem=task.name, joints=task.joints, source=task.source)
-    return task, Demos.from_episodes(info, episodes)
 
 
 def test_the_target_of_a_transition_is_the_goal_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:

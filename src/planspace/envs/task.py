@@ -85,6 +85,11 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         """The current planning state."""
         return self._batch.states[0].copy()
 
+    @property
+    def target(self) -> np.ndarray:
+        """The target of the current episode; empty for a task without targets."""
+        return self._batch.targets[0].copy()
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:

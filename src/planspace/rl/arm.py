@@ -9,7 +9,8 @@ from planspace.envs.episodes import Episodes
 from planspace.envs.plan_starts import PlanStarts
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
-from planspace.rl.rollout import ActFn, Rollout, collect
+from planspace.rl.progress import Progress
+from planspace.rl.rollout import ActFn, Rollout, ShapeFn, collect
 from planspace.rl.shaping import Shaping
 from planspace.rl.transitions import Transitions
 from planspace.tasks.gymnasium import AnyTask
@@ -31,6 +32,8 @@ class Arm:
     states of plans."""
     shaping: Shaping | None = None
     """The shaping reward, if there is any."""
+    progress: Progress | None = None
+    """The reward that is paid instead of the task's, if it is `progress`."""
     plan_transitions: Transitions | None = None
     """Transitions along plans, the same for each seed; None unless `config` has `replay`, `clone` or
     `clone_weight`."""
@@ -92,5 +95,14 @@ class Arm:
             bootstrap_timeout: whether the algorithm counts the value of the state at the time limit; the
                 shaping reward depends on it.
         """
-        shape = None if self.shaping is None else self.shaping.reward_fn(discount, bootstrap_timeout)
-        return collect(self.episodes, self.observer, act, self.task.horizon, rngs, shape=shape)
+        shape = self._shape_fn(discount, bootstrap_timeout)
+        rollout = collect(self.episodes, self.observer, act, self.task.horizon, rngs, shape=shape)
+        if self.progress is not None:  # `rewards + shaping` is paid; returns are the task's
+            rollout.shaping[:] -= rollout.rewards
+        return rollout
+
+    def _shape_fn(self, discount: float, bootstrap_timeout: bool) -> ShapeFn | None:
+        progress, episodes = self.progress, self.episodes
+        if progress is not None:
+            return lambda before, after, terminated, timeout: progress(before, after, episodes.targets)
+        return None if self.shaping is None else self.shaping.reward_fn(discount, bootstrap_timeout)

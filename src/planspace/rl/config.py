@@ -19,6 +19,8 @@ BATCH_STEPS = 4000
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
 ShapingType = Literal["none", "z", "raw"]
+GoalMode = Literal["raw", "z"]
+TrainReward = Literal["dense", "sparse", "2020", "progress"]
 ResetStates = Literal["plans", "trees", "both"]
 ResetSchedule = Literal["uniform", "reverse"]
 
@@ -36,9 +38,13 @@ class TrainConfig:
     """`none`; `augment`: append z to the observation; `replace`: observe z only."""
     z_to: ZTarget = "both"
     """Which networks observe z."""
-    reward: RewardType = "dense"
+    goal: GoalMode = field(default="raw", metadata=unset_if("raw"))
+    """`raw`: goals are observed as the task shows them. `z`: z is followed by z of the goal, the direction
+    from the one to the other as a unit vector, and their distance."""
+    reward: TrainReward = "dense"
     """`dense`: the task's reward. `sparse`: 1 at the goal, 0 elsewhere. `2020`: the swing-up's reward with
-    the mistakes of the 2020 code."""
+    the mistakes of the 2020 code. `progress`: the estimated time to the goal that a step saves [s]; reported
+    returns are those of `dense`."""
     shaping: ShapingType = "none"
     """Potential-based reward for approaching the goal, by distance in `z` or between `raw` states. Reported
     returns leave it out."""
@@ -89,7 +95,8 @@ class TrainConfig:
             "obs": ObservationType,
             "z": ZMode,
             "z_to": ZTarget,
-            "reward": RewardType,
+            "goal": GoalMode,
+            "reward": TrainReward,
             "shaping": ShapingType,
             "reset_states": ResetStates,
             "reset_schedule": ResetSchedule,
@@ -99,6 +106,10 @@ class TrainConfig:
                 raise unknown(name, getattr(self, name), get_args(known))
         if self.z == "none" and self.z_to != "both":
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
+        if self.z == "none" and self.goal == "z":
+            raise UsageError("goal is 'z', but there is no z: set z to augment or replace.")
+        if self.reward == "progress" and self.shaping != "none":
+            raise UsageError("the reward 'progress' is paid instead of shaping rewards: leave out shaping.")
         scale = self.shaping_scale
         check_setting("shaping_scale", scale, 0 < scale < math.inf, "above 0 and finite")
         for name in ("resets", "replay"):
@@ -137,8 +148,13 @@ class TrainConfig:
 
     @property
     def needs_embedding(self) -> bool:
-        """Whether z is observed or used for shaping."""
-        return self.z != "none" or self.shaping == "z"
+        """Whether z is observed, or an embedding is used for rewards."""
+        return self.z != "none" or self.shaping == "z" or self.reward == "progress"
+
+    @property
+    def task_reward(self) -> RewardType:
+        """The reward that the task computes and that returns consist of."""
+        return "dense" if self.reward == "progress" else self.reward
 
     def with_hyperparameters(self, **changes: Any) -> "TrainConfig":
         """Copy with other hyper-parameters of the algorithm, by the names of its fields."""

@@ -48,7 +48,7 @@ def export_policies(
         task=arm.task.name,
         env_id=None if content else shipped_tasks()[arm.task.name].env_id,
         obs=config.obs,
-        reward=config.reward,
+        reward=config.task_reward,
         z=config.z,
         z_to=config.z_to,
         num_obs=observer.num_obs,
@@ -62,6 +62,8 @@ def export_policies(
         versions=Provenance.current().plain(),
         **content,
     )
+    if config.goal != "raw":
+        about["goal"] = config.goal
     if networks[0].activation != "tanh":
         about["activation"] = networks[0].activation
     if networks[0].limits is not None:

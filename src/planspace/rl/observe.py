@@ -1,4 +1,7 @@
-"""Observations: the task's own with or without z, and the columns that policy and critic read."""
+"""Observations: the task's own with or without z, and the columns that policy and critic read.
+
+With `goal` set to `z`, z is followed by z of the goal, the unit vector from z to it, and their distance.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,11 +9,15 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from planspace.embed.embedding import Embedding
+from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
-from planspace.rl.config import ZMode, ZTarget
+from planspace.rl.config import GoalMode, ZMode, ZTarget
+from planspace.rl.task_goal import GoalStates, goal_states
 from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.observation_types import ObservationType
+
+LEAST_DISTANCE = 1e-9
+"""Differences of z are divided by at least this, so that the direction at the goal is 0."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +33,15 @@ class Observer:
     num_seeds: int = 1
     """Number of seeds, whose environments follow one another, the same number for each seed. The observations
     of a seed do not depend on the others, bit for bit."""
+    goal: GoalMode = "raw"
+    """Whether z of the goal is observed, too."""
 
     def __post_init__(self) -> None:
         """Check that task and embeddings fit.
 
         Raises:
             UsageError: z is observed but there is no embedding, an embedding reads other states, or
-                embeddings differ in the size of z.
+                embeddings differ in the size of z; or z of the goal is observed, but the goal is no state.
         """
         if self.z == "none":
             return
@@ -42,6 +51,8 @@ class Observer:
             sizes = ", ".join(str(embedding.z_dim) for embedding in self.embeddings)
             raise UsageError(f"embeddings of one run must have the same number of z, got {sizes}.")
         _ = self._embedded_columns
+        if self.goal == "z":
+            _ = self._goals
 
     def __call__(
         self, states: Float[np.ndarray, "env state"], targets: Float[np.ndarray, "env target"]
@@ -51,7 +62,7 @@ class Observer:
         if self.z != "replace" or self.z_to != "both":
             parts.append(self.task.observe_as(self.obs, states, targets))
         if self.z != "none":
-            parts.append(self._encoded(states.reshape(self.num_seeds, -1, states.shape[-1])))
+            parts += self._z_parts(states, targets)
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     @property
@@ -64,7 +75,16 @@ class Observer:
         """The columns that the critic reads."""
         return self._columns("critic")
 
-    def _encoded(self, states: Float[np.ndarray, "seed env state"]) -> Float[np.ndarray, "row z"]:
+    def _z_parts(self, states: np.ndarray, targets: np.ndarray) -> list[np.ndarray]:
+        z = self._encoded(states)
+        if self.goal == "raw":
+            return [z]
+        z_goal = self._encoded(self._goals(targets))
+        distance = norm(z_goal - z)[:, None]
+        return [z, z_goal, (z_goal - z) / np.maximum(distance, LEAST_DISTANCE), distance]
+
+    def _encoded(self, states: Float[np.ndarray, "row state"]) -> Float[np.ndarray, "row z"]:
+        states = states.reshape(self.num_seeds, -1, states.shape[-1])
         groups = [states] if len(self.embeddings) == 1 else list(states[:, None])
         parts = zip(self.embeddings, self._embedded_columns, groups, strict=True)
         z = np.concatenate([e.encode(group[..., columns]) for e, columns, group in parts])
@@ -74,7 +94,7 @@ class Observer:
     def num_obs(self) -> int:
         """Numbers in an observation, including z."""
         own = 0 if self.z == "replace" and self.z_to == "both" else self._num_own
-        return own + (self.embeddings[0].z_dim if self.z != "none" else 0)
+        return own + (self._num_z if self.z != "none" else 0)
 
     @property
     def num_policy_obs(self) -> int:
@@ -85,6 +105,15 @@ class Observer:
     def num_critic_obs(self) -> int:
         """Numbers that the critic reads."""
         return len(range(self.num_obs)[self.critic_columns])
+
+    @property
+    def _num_z(self) -> int:
+        size = self.embeddings[0].z_dim
+        return size if self.goal == "raw" else 3 * size + 1
+
+    @cached_property
+    def _goals(self) -> GoalStates:
+        return goal_states(self.task, "--goal z")
 
     @property
     def _num_own(self) -> int:

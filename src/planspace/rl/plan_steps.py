@@ -10,6 +10,7 @@ from planspace.demos.episode import Episode
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
 from planspace.rl.observe import Observer
+from planspace.rl.progress import Progress
 from planspace.rl.task_goal import has_goal_states
 from planspace.rl.transitions import Transitions
 
@@ -18,7 +19,11 @@ TIME_TOLERANCE = 1e-6
 
 
 def plan_steps(
-    demos: Demos, batch: TaskBatch, observer: Observer, alive: Bool[np.ndarray, " row"]
+    demos: Demos,
+    batch: TaskBatch,
+    observer: Observer,
+    alive: Bool[np.ndarray, " row"],
+    progress: Progress | None = None,
 ) -> Transitions:
     """One step of the task from each state of the plans.
 
@@ -34,6 +39,7 @@ def plan_steps(
         batch: simulations of the task.
         observer: what policy and critic observe.
         alive: whether an episode goes on at each state of the plans.
+        progress: computes the rewards, if they are not the task's.
 
     Raises:
         UsageError: no step remains.
@@ -49,7 +55,8 @@ def plan_steps(
     rows, controls = rows[kept], np.concatenate(parts)[kept]
     actions = np.clip(controls, simulator.control_low, simulator.control_high).astype(np.float32)
     states = task.space.normalise(demos.states)[rows]
-    found = _simulate(batch, replace(observer, num_seeds=1), states, actions, _targets(demos, batch, rows))
+    observe, paid = replace(observer, num_seeds=1), progress and replace(progress, num_seeds=1)
+    found = _simulate(batch, observe, states, actions, _targets(demos, batch, rows), paid)
     if not len(found.rewards):
         raise _no_steps()
     return found
@@ -91,6 +98,7 @@ def _simulate(
     states: Float[np.ndarray, "step state"],
     actions: Float[np.ndarray, "step control"],
     targets: Float[np.ndarray, "step target"],
+    progress: Progress | None,
 ) -> Transitions:
     """The steps from these states with these controls, without those whose physics diverge."""
     size, parts = len(batch.states), []
@@ -99,6 +107,8 @@ def _simulate(
         batch.reset(states[rows], targets[rows])
         obs = observe(batch.states, batch.targets)
         rewards, terminated, diverged = batch.step(actions[rows])
+        if progress is not None:
+            rewards = progress(states[rows], batch.states, batch.targets)
         step = Transitions(obs, actions[rows], rewards, observe(batch.states, batch.targets), terminated)
         kept = ~diverged[: len(states) - first]
         parts.append([array[: len(kept)][kept] for array in step])

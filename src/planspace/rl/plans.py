@@ -18,6 +18,7 @@ from planspace.mjcf.source import model_key
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import plan_steps
+from planspace.rl.progress import Progress
 from planspace.rl.transitions import Transitions
 from planspace.tasks.task import Task
 
@@ -39,15 +40,24 @@ class Plans:
     """The task."""
     demos: Demos
     """The plans."""
+    progress: Progress | None = None
+    """Computes the rewards of steps, if they are not the task's."""
 
     @classmethod
-    def of(cls, config: TrainConfig, observer: Observer, given: Demos | str | Path | None) -> "Plans | None":
+    def of(
+        cls,
+        config: TrainConfig,
+        observer: Observer,
+        given: Demos | str | Path | None,
+        progress: Progress | None = None,
+    ) -> "Plans | None":
         """Load the plans of a run and check that they fit; None if the run uses none.
 
         Args:
             config: the settings.
             observer: what policy and critic observe.
             given: plans, or the folder of a dataset.
+            progress: computes the rewards of steps, if they are not the task's.
 
         Raises:
             UsageError: plans are missing or not used, or do not fit task and settings.
@@ -71,7 +81,7 @@ class Plans:
             )
         demos = given if isinstance(given, Demos) else load_demos(given)
         _check_states(task, demos.info)
-        plans = cls(config, observer, task, demos)
+        plans = cls(config, observer, task, demos, progress)
         plans._check_steps()
         if not plans._alive.any():
             raise UsageError(f"{task.name} ends an episode at every state of the plans: give other plans.")
@@ -99,7 +109,7 @@ class Plans:
         """
         if not self._step_options:
             return None
-        return plan_steps(self._in_task, self._batch, self.observer, self._alive)
+        return plan_steps(self._in_task, self._batch, self.observer, self._alive, self.progress)
 
     @cached_property
     def _in_task(self) -> Demos:
@@ -149,7 +159,7 @@ class Plans:
     @cached_property
     def _batch(self) -> TaskBatch:
         """Simulations of the task."""
-        return TaskBatch(self.task, min(NUM_SIMULATIONS, len(self._states)), reward=self.config.reward)
+        return TaskBatch(self.task, min(NUM_SIMULATIONS, len(self._states)), reward=self.config.task_reward)
 
     @property
     def _step_options(self) -> tuple[str, ...]:
@@ -191,7 +201,8 @@ class Plans:
             )
         if self.config.replay and self.config.shaping != "none":
             raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")
-        if (count := len(self.observer.embeddings)) > 1:
+        used = self.observer.embeddings or (self.progress.embeddings if self.progress else ())
+        if (count := len(used)) > 1:
             raise UsageError(f"{option} needs one embedding for all seeds, got {count}: use --resets.")
 
 

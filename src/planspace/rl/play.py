@@ -15,10 +15,13 @@ from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.render import FilmConfig, render_demos, write_film
 from planspace.demos.state_info import StateInfo
+from planspace.embed.saved_embedding import load_embedding
 from planspace.envs import make as envs
 from planspace.errors import UsageError
 from planspace.physics.rendering import rendering_backend
 from planspace.progress import progress
+from planspace.rl.goal_observation import GoalObservation
+from planspace.rl.observe import Observer
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
 from planspace.tasks.gymnasium import AnyTask, GymTask, parse_gym_task
@@ -40,10 +43,16 @@ def make_env(
     """
     about = policy.about
     task = _task_of(policy, task)
+    reward = about.get("reward", "dense")
+    if about.get("goal", "raw") == "z":
+        own = envs.make_env(task, obs=about["obs"], reward=reward, render_mode=render_mode)
+        embedding = load_embedding(policy.embedding)
+        observer = Observer(task, about["obs"], about["z"], about["z_to"], (embedding,), goal="z")
+        return GoalObservation(own, observer)
     return envs.make_env(
         task,
         obs=about["obs"],
-        reward=about.get("reward", "dense"),
+        reward=reward,
         render_mode=render_mode,
         embedding=None if about["z"] == "none" else policy.embedding,
         mode="replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment",

@@ -26,7 +26,8 @@ class Rollout:
     rewards: Float[np.ndarray, "time *seed env"]
     """Rewards of the task."""
     shaping: Float[np.ndarray, "time *seed env"]
-    """Shaping rewards, which are paid in addition; see `shaping`."""
+    """Shaping rewards, which are paid in addition; see `shaping`. With the reward `progress`, its difference
+    from the reward of the task."""
     step: Int[np.ndarray, "time *seed env"]
     """Steps from the start of the episode to the action."""
     terminated: Bool[np.ndarray, "time *seed env"]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.errors import PlanspaceError, UsageError, quoted
-from planspace.rl.config import ZMode, ZTarget
+from planspace.rl.config import GoalMode, ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
 from planspace.rl.stack import Activation, Stack, scaled
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
@@ -34,8 +34,11 @@ ALLOWED = {
     "reward": get_args(RewardType),
     "z": get_args(ZMode),
     "z_to": get_args(ZTarget),
+    "goal": get_args(GoalMode),
 }
 """Values that a description may have."""
+DEFAULTS = {"reward": "dense", "goal": "raw"}
+"""Values of what a description may leave out."""
 
 
 class PoliciesInfo(TypedDict):
@@ -52,6 +55,8 @@ class PoliciesInfo(TypedDict):
     reward: NotRequired[RewardType]
     z: ZMode
     z_to: ZTarget
+    goal: NotRequired[GoalMode]
+    """Whether z of the goal is observed; `raw` if it is missing."""
     num_obs: int
     """Numbers in an observation, including z."""
     columns: list[int | None]
@@ -232,7 +237,7 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
     if "environment" in about:
         parse_gym_task(about["environment"])
     for name, known in ALLOWED.items():
-        if about.get(name, "dense" if name == "reward" else None) not in known:
+        if about.get(name, DEFAULTS.get(name)) not in known:
             raise ValueError(f"{name} is {quoted(about.get(name))}")
     _check_output(about)
     if not all(type(number) is int for number in (*about["seeds"], about["num_obs"])):

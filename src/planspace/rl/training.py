@@ -16,7 +16,8 @@ from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.envs.episodes import make_episodes
 from planspace.envs.plan_starts import own_starts
-from planspace.progress import progress, progress_shown
+from planspace.progress import progress as progress_bar
+from planspace.progress import progress_shown
 from planspace.rl.algorithm import Algorithm, Diverged
 from planspace.rl.arm import Arm
 from planspace.rl.checks import (
@@ -35,6 +36,7 @@ from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, lo
 from planspace.rl.observe import Observer
 from planspace.rl.plans import Plans
 from planspace.rl.policy_network import Actor, PolicyNetwork
+from planspace.rl.progress import Progress
 from planspace.rl.rollout import collect, episode_returns, first_returns
 from planspace.rl.run_setup import embedding_of_seeds, run_settings, with_algorithm
 from planspace.rl.shaping import Shaping
@@ -127,14 +129,14 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     config = with_algorithm(config or TrainConfig(), algorithm)
     check_uses_of_plans(config)
     check_env_workers(task, env_workers)
-    find_name(f"reward type of {task.name}", config.reward, task.reward_types)
+    find_name(f"reward type of {task.name}", config.task_reward, task.reward_types)
     find_name(f"observation type of {task.name}", config.obs, task.obs_types)
     given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
     per_seed = embedding_of_seeds(given, config)
     observed = per_seed if config.z != "none" else ()
-    observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds)
-    shaping = Shaping.of(config, task, per_seed)
-    used = Plans.of(config, observer, plans)
+    observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds, config.goal)
+    shaping, progress = Shaping.of(config, task, per_seed), Progress.of(config, task, per_seed)
+    used = Plans.of(config, observer, plans, progress)
     num = config.num_seeds * num_episodes(task, config.batch_steps)
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
@@ -144,9 +146,9 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:
-            episodes = make_episodes(task, num, config.reward, env_workers)
+            episodes = make_episodes(task, num, config.task_reward, env_workers)
             with contextlib.closing(episodes), progress_shown(verbose):
-                arm = Arm(config, observer, episodes, shaping)
+                arm = Arm(config, observer, episodes, shaping, progress)
                 history = _train(arm if used is None else _with_plans(arm, used), given, run, track)
     return TrainedPolicies(task.name, config, history, run, temporary)
 
@@ -216,7 +218,7 @@ def _run(training: _Training, state: _State, first: int, out: Path, track: Seque
     saved = first
     with (
         open_trackers(track, out) as add_scalars,
-        progress(f"train {out.name}", config.iterations, done=first, unit="iteration") as bar,
+        progress_bar(f"train {out.name}", config.iterations, done=first, unit="iteration") as bar,
     ):
 
         def save() -> None:
