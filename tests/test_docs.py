@@ -133,7 +133,7 @@ def run_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     if program == "pip":  # .ci/run installs planspace
         return
     if program == "planspace":
-        quick = ["--steps", "20", "--batch", "16"] if arguments[0] == "embed" else []
+        quick = ["--steps", "20", "--batch", "16", "--time-steps", "20"] if arguments[0] == "embed" else []
         assert main([*arguments, *quick]) == 0, capsys.readouterr().err
         return
     assert program == "python", f"no test runs {line!r}"

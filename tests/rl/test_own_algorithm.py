@@ -39,7 +39,7 @@ def aim() -> Task:
 
 @pytest.mark.slow
 def test_an_own_algorithm_and_trpo_find_the_known_best_action() -> None:
-    config = TrainConfig(num_seeds=2, steps=160_000)
+    config = TrainConfig(num_seeds=2, steps=100_000)
     for algorithm in (CrossEntropy(), "trpo"):
         trained = train_policies(aim(), config, algorithm=algorithm)
         for seed in (0, 1):
