@@ -51,7 +51,7 @@ BUDGETS: dict[str, Budget] = {
         planner=PlanConfig(restarts=1),
         fit=replace(PRESETS["modern"], steps=1_500, batch=128),
         embedding_seeds=3,  # one group of seeds, so that one program is compiled
-        control=ControlBudget(starts=6, samples=64, horizons=(HORIZON_S,), horizon_starts=2),
+        control=ControlBudget(starts=6, samples=64, horizons=(), horizon_starts=0),
         seeds=5,
         steps=40_000,
     ),
