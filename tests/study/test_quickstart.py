@@ -166,6 +166,7 @@ def test_a_problem_file_runs_like_a_shipped_task(
     base: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(BUDGETS, "smoke", replace(TINY, demos=6, embedding_seeds=1))
     file, out = write_crane(tmp_path, base), Path("runs/crane-smoke")
     assert main(["run", file.name, "--budget", "smoke"]) == 0
     shown = capsys.readouterr().out

@@ -20,7 +20,7 @@ class ControlBudget:
     samples: int
     """Candidates per control step."""
     horizons: tuple[float, ...]
-    """How far ahead success is measured with each cost [s]."""
+    """How far ahead success is measured with each cost [s]; may be empty."""
     horizon_starts: int
     """Starts that are controlled for each cost and horizon: the first of `starts`."""
 

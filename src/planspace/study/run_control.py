@@ -87,12 +87,12 @@ def control_stage(
     stage = _Stage(plant, embedding, out, budget.samples, seed)
     z, raw = (stage.control(cost, first, budget.starts) for cost in ("z", "raw"))
     difference, interval = success_difference(z, raw)
-    costs: list[CostName] = ["z", "raw"]
-    if isinstance(plant.task.problem, Problem):
-        notes += ("The reward of this task is computed from its goal, so control by reward is left out.",)
-    else:
-        costs.append("reward")
     horizons = usable_horizons(budget.horizons, plant.control_step)
+    costs: list[CostName] = ["z", "raw"]
+    if not isinstance(plant.task.problem, Problem):
+        costs.append("reward")
+    elif horizons:
+        notes += ("The reward of this task is computed from its goal, so control by reward is left out.",)
     starts = min(budget.horizon_starts, budget.starts)
     rows: list[tuple[CostName, tuple[int, ...]]] = [
         (cost, tuple(sum(stage.control(cost, h, starts)) for h in horizons)) for cost in costs if horizons
