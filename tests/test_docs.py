@@ -77,6 +77,8 @@ def runs(page: Path) -> bool:
 QUICK = ("environments.md", "howto/own-environment.md", "howto/shaping.md")
 """Pages that run within seconds."""
 LONG = (
+    "control.md",
+    "training.md",
     "howto/own-objective.md",
     "howto/demonstrations.md",
     "howto/gymnasium-task.md",

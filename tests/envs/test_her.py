@@ -82,6 +82,7 @@ def test_sb3s_own_buffer_is_reported_where_it_would_be_wrong() -> None:
     agent(only_z, HerReplayBuffer).learn(25)
 
 
+@pytest.mark.nightly
 def test_a_saved_buffer_asks_the_environment_again(tmp_path) -> None:
     learned = agent(both()).learn(25)
     learned.save_replay_buffer(tmp_path / "buffer")

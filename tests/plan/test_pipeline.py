@@ -50,7 +50,7 @@ def test_every_shipped_problem_is_solved(name: str) -> None:
     assert episode.cost == pytest.approx(episode.times[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_acrobot_is_solved() -> None:
     problem = load_problem("acrobot")
     config = PlanConfig.for_problem(problem, restarts=1, polish_max_iterations=20)

@@ -102,11 +102,9 @@ def diverging_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Task, "compile", compile_diverging)
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("diverging_tasks")
-@pytest.mark.parametrize(
-    "algo",
-    [pytest.param("trpo", marks=pytest.mark.nightly), pytest.param("ppo", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("algo", ["trpo", "ppo"])
 def test_training_on_diverging_physics_stays_finite(
     algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,7 +37,7 @@ def aim() -> Task:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_own_algorithm_and_trpo_find_the_known_best_action() -> None:
     config = TrainConfig(num_seeds=2, steps=100_000)
     for algorithm in (CrossEntropy(), "trpo"):

@@ -154,14 +154,8 @@ def test_every_task_runs(task: str, tmp_path: Path) -> None:
     assert (tmp_path / "run" / "report.html").stat().st_size > 1e6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "base",
-    [
-        pytest.param(CRANE, id="one goal"),
-        pytest.param(STILL, id="random goals", marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("base", [pytest.param(CRANE, id="one goal"), pytest.param(STILL, id="random goals")])
 def test_a_problem_file_runs_like_a_shipped_task(
     base: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
