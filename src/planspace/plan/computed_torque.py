@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from planspace.physics.simulator import Simulator
 from planspace.plan.durations import num_steps
 from planspace.plan.motors import motor
+from planspace.plan.steer import steer
 from planspace.tasks.problem import Goal
 
 BANDWIDTH = 10.0
@@ -59,24 +60,7 @@ class ComputedTorque:
             region was entered or the state was invalid; and whether the goal region was entered with every
             state on the way allowed.
         """
-        simulator, count = self._simulator, len(starts)
-        ids = np.arange(count, dtype=np.int32)
-        simulator.reset(starts, ids)
-        num = max(1, round(MAX_S / (self._stride * simulator.model.opt.timestep)))
-        controls, steps = np.zeros((count, num, len(self._gains))), np.zeros(count, dtype=int)
-        arrived = goal.reached(starts)
-        moving = ~arrived
-        for step in range(num):
-            if not moving.any():
-                break
-            running = ids[moving]
-            controls[running, step] = self._control(goal, running)
-            simulator.step(controls[running, step], self._stride, ids=running)
-            steps[running] = (step + 1) * self._stride
-            arrived[running] = goal.reached(simulator.states()[running])
-            moving[running] = ~arrived[running] & simulator.allowed(count)[running]
-        arrived &= simulator.allowed(count) & ~simulator.diverged()[:count]
-        return np.repeat(controls, self._stride, axis=1), steps, arrived
+        return steer(self._simulator, goal, starts, lambda ids: self._control(goal, ids), self._stride, MAX_S)
 
     def _control(self, goal: Goal, ids: np.ndarray) -> Float[np.ndarray, "batch control"]:
         """The controls in the current states of these simulations."""

@@ -12,6 +12,7 @@ from planspace.physics.simulator import Simulator
 from planspace.plan import linearise
 from planspace.plan.config import RegulatorConfig
 from planspace.plan.durations import num_steps
+from planspace.plan.steer import steer
 from planspace.tasks.problem import Goal
 
 DISCOUNTS = (1.0, 0.995)
@@ -80,22 +81,11 @@ class Regulator:
             region was entered or the regulator gave up; and whether the goal region was entered with every
             state on the way allowed.
         """
-        count = len(starts)
-        ids = np.arange(count, dtype=np.int32)
-        simulator.reset(starts, ids)
-        num = max(1, round(self.config.max_s / (self.stride * simulator.model.opt.timestep)))
-        controls = np.zeros((count, num, len(self._low)))
-        steps = np.zeros(count, dtype=int)
-        arrived = self.goal.reached(starts)
-        moving = ~arrived
-        for step in range(num):
-            if not moving.any():
-                break
-            running = ids[moving]
-            controls[running, step] = self.control(simulator.states()[running])
-            simulator.step(controls[running, step], self.stride, ids=running)
-            steps[running] = (step + 1) * self.stride
-            arrived[running] = self.goal.reached(simulator.states()[running])
-            moving[running] = ~arrived[running] & simulator.allowed(count)[running]
-        arrived = arrived & simulator.allowed(count) & ~simulator.diverged()[:count]
-        return np.repeat(controls, self.stride, axis=1), steps, arrived
+        return steer(
+            simulator,
+            self.goal,
+            starts,
+            lambda ids: self.control(simulator.states()[ids]),
+            self.stride,
+            self.config.max_s,
+        )
