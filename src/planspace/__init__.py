@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from planspace.errors import PartialResult as PartialResult
     from planspace.errors import PlanspaceError as PlanspaceError
     from planspace.errors import UsageError as UsageError
+    from planspace.physics.pictures import PictureConfig as PictureConfig
     from planspace.plan.config import PlanConfig as PlanConfig
     from planspace.plan.demonstrations import plan_demos as plan_demos
     from planspace.rl.config import TrainConfig as TrainConfig
@@ -54,6 +55,7 @@ _MODULE_OF = {
     "Measurement": "planspace.embed.measurement",
     "Objective": "planspace.embed.objective",
     "PartialResult": "planspace.errors",
+    "PictureConfig": "planspace.physics.pictures",
     "PlanConfig": "planspace.plan.config",
     "PlanspaceError": "planspace.errors",
     "Policy": "planspace.rl.saved_policy",

@@ -4,9 +4,10 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from planspace.demos.episode import Episode, join_episodes, trees_of
 from planspace.demos.folder import DemoFolder
@@ -18,6 +19,9 @@ from planspace.errors import PlanspaceError
 from planspace.storage.json_files import json_hash
 from planspace.storage.runs import lock_folder
 from planspace.summary import html_summary, text_summary
+
+if TYPE_CHECKING:
+    from planspace.physics.pictures import PictureConfig
 
 MAX_NAMES = 8
 """Number of states that a summary lists by name."""
@@ -160,6 +164,28 @@ class Demos:
     def rows(self, episodes: Int[np.ndarray, " demo"]) -> Int[np.ndarray, " row"]:
         """Row numbers of some demonstrations, in order."""
         return np.concatenate([np.arange(int(self.offsets[i]), int(self.offsets[i + 1])) for i in episodes])
+
+    def render_states(
+        self,
+        rows: Int[np.ndarray, " picture"] | None = None,
+        config: "PictureConfig | None" = None,
+        seed: int = 0,
+    ) -> UInt8[np.ndarray, "picture height width 3"]:
+        """Draw states as small pictures.
+
+        Args:
+            rows: the rows of `states` to draw; None for all. `config.frames` plays no role.
+            config: size, camera, and how much colours and camera vary; None for 64 x 64 pixels as the model
+                looks.
+            seed: seed of colours and camera, which are drawn anew for each picture.
+
+        Raises:
+            PlanspaceError: there is no model, a row does not exist, or no OpenGL backend works here; the
+                message says what to install.
+        """
+        from planspace.demos.render_states import render_states
+
+        return render_states(self, rows, config, seed)
 
     @property
     def hash(self) -> str:

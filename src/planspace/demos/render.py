@@ -1,6 +1,5 @@
 """Film the robot in its recorded states, in real time."""
 
-import importlib
 import io
 import math
 import tempfile
@@ -8,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,14 +16,13 @@ from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.framing import Frame, has_plane, light_from_camera
 from planspace.errors import PlanspaceError, UsageError, check_setting, install_command, unknown
-from planspace.physics.rendering import rendering_advice, rendering_backend
+from planspace.physics.rendering import context_class, rendering_advice, rendering_backend
 from planspace.progress import progress
 from planspace.storage.files import write_bytes
 
 SUFFIXES = (".gif", ".mp4")
 FIT = "fit"
 """The camera that is fitted to the whole motion."""
-BACKENDS = ("egl", "osmesa", "glfw", "cgl")
 Image = UInt8[np.ndarray, "height width 3"]
 Encoder = Callable[[Iterator[Image], "FilmConfig"], bytes]
 
@@ -193,7 +190,7 @@ def _camera(
             f"the robot cannot be drawn: no OpenGL backend works here; {rendering_advice()}."
         )
     model.vis.global_.offwidth, model.vis.global_.offheight = config.width, config.height
-    gl = _context_class(backend)(config.width, config.height)
+    gl = context_class(backend)(config.width, config.height)
     gl.make_current()
     context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
@@ -217,12 +214,6 @@ def _camera(
     finally:
         context.free()
         gl.free()
-
-
-def _context_class(backend: str) -> Any:
-    """The OpenGL context of a backend; values such as `on` mean the default of the platform."""
-    name = backend.lower().strip()
-    return importlib.import_module(f"mujoco.{name}").GLContext if name in BACKENDS else mujoco.GLContext
 
 
 def _view(model: mujoco.MjModel, config: FilmConfig, frame: Frame) -> mujoco.MjvCamera:

@@ -57,13 +57,14 @@ def make_env(
         task: the name of a task, the path of a problem file (`.yaml`), a task of your own, or a Gymnasium
             environment as `gym:ID` or `GymTask`.
         num_envs: number of environments in one vector environment; None makes a single environment.
-        obs: `raw`, `wrapped` (angles of unlimited hinges within (-pi, pi]) or `trig` (raw, sine and cosine).
+        obs: `raw`, `wrapped` (angles of unlimited hinges within (-pi, pi]), `trig` (raw, sine and cosine) or
+            `pixels` (the last pictures; see docs/pixels.md).
         reward: `dense`, `sparse` (1 at the goal, 0 elsewhere) or `2020` (if the task has it).
         embedding: an embedding or its folder, to show the agent z.
         mode: how z is shown, as for `PlanSpaceObservation`.
         render_mode: `rgb_array`, `human` (single environments only), or None.
         arguments: further arguments of `gymnasium.make`, or of `TaskVectorEnv`: `max_episode_steps`,
-            `autoreset_mode`, `threads`.
+            `autoreset_mode`, `threads`, and `pictures`, a `PictureConfig`, for `pixels`.
 
     Returns:
         An environment of Gymnasium; seed it with `env.reset(seed=...)`.

@@ -9,12 +9,17 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from planspace.envs.batch import TaskBatch
+from planspace.envs.pixels import PixelStacks, find_view
 from planspace.envs.render import RENDER_MODES, Renderer
 from planspace.errors import UsageError, unknown
+from planspace.physics.pictures import PictureConfig
 from planspace.physics.space import StateSpace
 from planspace.tasks.catalog import find_task
-from planspace.tasks.observation_types import ObservationType, find_observation_type
+from planspace.tasks.observation_types import ObservationType
 from planspace.tasks.task import Task, find_reward_type
+
+FIRST = np.zeros(1, dtype=int)
+"""The only environment."""
 
 
 class Described:
@@ -44,9 +49,10 @@ class Described:
 class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.EzPickle):
     """A single environment of a task.
 
-    Observations are float32. `info["state"]` and the attribute `state` hold the planning state, which an
-    embedding reads. `reset(options={"state": ...})` starts from a given state. As usual in Gymnasium, a
-    copied or unpickled environment is a new one with the same arguments.
+    Observations are float32, or uint8 [height, width, 3 * frames] for pixels. `info["state"]` and the
+    attribute `state` hold the planning state, which an embedding reads. `reset(options={"state": ...})`
+    starts from a given state. As usual in Gymnasium, a copied or unpickled environment is a new one with the
+    same arguments.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 25}  # noqa: RUF012  as Gymnasium does
@@ -57,26 +63,29 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         obs: str = "raw",
         reward: str = "dense",
         render_mode: str | None = None,
+        pictures: PictureConfig | None = None,
     ):
         """Make the environment; `gymnasium.make` and `planspace.make_env` call this.
 
         Args:
             task: the task's name, or a task of your own.
             obs: `raw`; `wrapped`: angles of unlimited hinges within (-pi, pi]; `trig`: raw plus their sine
-                and cosine.
+                and cosine; `pixels`: the last pictures, stacked on the last axis, the oldest first.
             reward: `dense`: the task's reward; `sparse`: 1 at the goal and 0 elsewhere; `2020` (only the
                 swing-up): the reward of the 2020 code, with controls without limits.
             render_mode: `human`, `rgb_array` or None.
+            pictures: size, number and camera of the pictures, for `pixels`.
 
         Raises:
             UsageError: an argument has another value, or a task does not fit its model.
         """
-        gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode)
+        gymnasium.utils.EzPickle.__init__(self, task, obs, reward, render_mode, pictures)
         self.task = find_task(task) if isinstance(task, str | Path) else task
-        self.obs = find_observation_type(obs)
+        self.obs, view = find_view(obs, pictures)
         self.render_mode = find_render_mode(render_mode, RENDER_MODES)
         self._batch = TaskBatch(self.task, 1, threads=1, reward=find_reward_type(reward, self.task))
-        self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch)
+        self.observation_space, self.action_space = spaces_of(self.task, self.obs, self._batch, view)
+        self._pixels = None if view is None else PixelStacks(self._batch, view)
         self.metadata = {**self.metadata, "render_fps": frames_per_second(self._batch)}
         self._renderer = Renderer(self._batch)
 
@@ -107,6 +116,8 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         if options and "state" in options:
             states = given_states(options["state"], self._batch.simulator.space)[None]
         self._batch.reset(states, targets)
+        if self._pixels is not None:
+            self._pixels.restart(FIRST, [self.np_random])
         if self.render_mode == "human":
             self._renderer.show(0)
         return self._now()
@@ -119,6 +130,8 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
         """
         action = checked_actions(action, self.action_space)
         reward, terminated, diverged = self._batch.step(action[None])
+        if self._pixels is not None:
+            self._pixels.push(FIRST)
         obs, info = self._now(bool(diverged[0]))
         if self.render_mode == "human":
             self._renderer.show(0)
@@ -131,10 +144,15 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
     def close(self) -> None:
         """Close the window and free the graphics library."""
         self._renderer.close()
+        if self._pixels is not None:
+            self._pixels.close()
 
     def _now(self, diverged: bool = False) -> tuple[np.ndarray, dict[str, Any]]:
+        info = {"state": self.state, "diverged": diverged}
+        if self._pixels is not None:
+            return self._pixels.stacks()[0], info
         obs = self.task.observe_as(self.obs, self._batch.states, self._batch.targets)
-        return obs[0].astype(np.float32), {"state": self.state, "diverged": diverged}
+        return obs[0].astype(np.float32), info
 
 
 def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
@@ -148,10 +166,21 @@ def find_render_mode(name: str | None, known: Sequence[str]) -> str | None:
     return name
 
 
-def spaces_of(task: Task, obs: ObservationType, batch: TaskBatch) -> tuple[Box, Box]:
-    """Return the observation space and the action space of one environment."""
+def spaces_of(
+    task: Task, obs: ObservationType, batch: TaskBatch, view: PictureConfig | None = None
+) -> tuple[Box, Box]:
+    """Return the observation space and the action space of one environment.
+
+    Args:
+        task: the task.
+        obs: the type of its observation.
+        batch: its simulations.
+        view: the pictures that are observed instead; None for none.
+    """
     low, high = batch.simulator.model.actuator_ctrlrange.T.astype(np.float32)
     actions = Box(low, high)
+    if view is not None:
+        return Box(0, 255, view.stack_shape, np.uint8), actions
     return Box(-np.inf, np.inf, (len(task.fields(obs)),), np.float32), actions
 
 

@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool
 
 from planspace.envs.batch import TaskBatch
+from planspace.envs.pixels import PixelStacks, find_view
 from planspace.envs.render import Renderer
 from planspace.envs.task import (
     Described,
@@ -21,8 +22,8 @@ from planspace.envs.task import (
     spaces_of,
 )
 from planspace.errors import UsageError, unknown
+from planspace.physics.pictures import PictureConfig
 from planspace.tasks.catalog import find_task
-from planspace.tasks.observation_types import find_observation_type
 from planspace.tasks.task import Task, find_reward_type
 
 MODES = tuple(mode.value for mode in AutoresetMode)
@@ -51,6 +52,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         render_mode: str | None = None,
+        pictures: PictureConfig | None = None,
     ):
         """Make the environment; `gymnasium.make_vec` and `planspace.make_env` call this.
 
@@ -64,18 +66,28 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, as in Gymnasium.
             threads: physics threads; 0 uses all CPUs. Results do not depend on it.
             render_mode: `rgb_array` or None.
+            pictures: as for `TaskEnv`.
 
         Raises:
             UsageError: an argument has another value, or a task does not fit its model.
         """
         gymnasium.utils.EzPickle.__init__(
-            self, task, num_envs, obs, reward, max_episode_steps, autoreset_mode, threads, render_mode
+            self,
+            task,
+            num_envs,
+            obs,
+            reward,
+            max_episode_steps,
+            autoreset_mode,
+            threads,
+            render_mode,
+            pictures,
         )
         self.task = find_task(task)
         if num_envs < 1:
             raise UsageError(f"num_envs must be 1 or more, got {num_envs}.")
         self.num_envs = num_envs
-        self.obs = find_observation_type(obs)
+        self.obs, view = find_view(obs, pictures)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
         self.autoreset_mode = _find_autoreset_mode(autoreset_mode)
         self.max_episode_steps = _step_limit(self.task, max_episode_steps)
@@ -87,7 +99,10 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             "autoreset_mode": self.autoreset_mode,
             "render_fps": frames_per_second(self._batch),
         }
-        self.single_observation_space, self.single_action_space = spaces_of(self.task, self.obs, self._batch)
+        self._pixels = None if view is None else PixelStacks(self._batch, view)
+        self.single_observation_space, self.single_action_space = spaces_of(
+            self.task, self.obs, self._batch, view
+        )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]
@@ -155,6 +170,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         rewards, terminated, diverged = self._batch.step(actions)
         self._elapsed += 1
         truncated = diverged | (self._elapsed >= self.max_episode_steps)
+        if self._pixels is not None:
+            self._pixels.push(np.flatnonzero(~restarting))
         if restarting.any():  # in these environments this step is the reset
             rewards[restarting] = 0.0
             terminated, truncated = terminated & ~restarting, truncated & ~restarting
@@ -179,8 +196,12 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         """Free the graphics library."""
         if hasattr(self, "_renderer"):  # Gymnasium before 1.3 also closes environments that failed to start
             self._renderer.close()
+            if self._pixels is not None:
+                self._pixels.close()
 
     def _observe(self) -> np.ndarray:
+        if self._pixels is not None:
+            return self._pixels.stacks()
         return self.task.observe_as(self.obs, self._batch.states, self._batch.targets).astype(np.float32)
 
     def _begin(self, mask: Bool[np.ndarray, " env"], given: Any = None) -> None:
@@ -191,6 +212,8 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
         if given is not None:
             states = given_states(given, self._batch.simulator.space, self.num_envs)[ids]
         self._batch.reset(states, targets, ids.astype(np.int32))
+        if self._pixels is not None:
+            self._pixels.restart(ids, [self._rngs[i] for i in ids])
         self._elapsed[ids], self._ended[ids] = 0, False
 
     def _finish(self, info: dict[str, Any], ended: np.ndarray, diverged: np.ndarray) -> None:

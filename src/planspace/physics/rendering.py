@@ -1,10 +1,13 @@
 """The OpenGL backend that MuJoCo can render with on this machine."""
 
+import importlib
 import os
 import shutil
 import subprocess
 import sys
+from typing import Any
 
+BACKENDS = ("egl", "osmesa", "glfw", "cgl")
 RENDER_PROBE = (
     'import mujoco; m = mujoco.MjModel.from_xml_string(\'<mujoco><worldbody><geom size="1"/></worldbody>'
     "</mujoco>'); r = mujoco.Renderer(m, 16, 16); r.update_scene(mujoco.MjData(m)); r.render()"
@@ -41,6 +44,14 @@ def rendering_advice() -> str:
         is_root = hasattr(os, "geteuid") and os.geteuid() == 0
         return f"{'' if is_root else 'sudo '}apt-get install {APT_PACKAGES}"
     return "install EGL and OpenGL, which come with Mesa or the driver of the graphics card"
+
+
+def context_class(backend: str) -> Any:
+    """The OpenGL context of a backend; values such as `on` mean the default of the platform."""
+    import mujoco  # here, so that `planspace doctor` runs without it
+
+    name = backend.lower().strip()
+    return importlib.import_module(f"mujoco.{name}").GLContext if name in BACKENDS else mujoco.GLContext
 
 
 def _backends() -> list[str]:
