@@ -37,7 +37,8 @@ GYM_HELP = (
     "--env-workers shares them among processes."
 )
 TASK_HELP = (
-    f"One of {', '.join(task_names())}; FILE.yaml, your own problem file; gym:ID, a Gymnasium environment; "
+    f"One of {', '.join(task_names())}; FILE.yaml, your own problem file; dmc:NAME, a task of DeepMind "
+    "Control; gym:ID, a Gymnasium environment; "
     f"or module.py:NAME, your own Task or GymTask. {GYM_HELP}"
 )
 

@@ -24,6 +24,7 @@ from planspace.rl.goal_observation import GoalObservation
 from planspace.rl.observe import Observer
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.catalog import find_task
+from planspace.tasks.dm_control.suite import DMC_PREFIX
 from planspace.tasks.gymnasium import AnyTask, GymTask, parse_gym_task
 from planspace.tasks.stored_task import stored_task, task_content
 
@@ -62,8 +63,8 @@ def make_env(
 def _task_of(policy: Policy, task: AnyTask | None) -> AnyTask:
     about, name = policy.about, policy.about["task"]
     known = {key: value for key, value in about.items() if key in ("task_sha256", "environment")}
-    if task is None and not known:
-        return find_task(name)
+    if task is None and (not known or name.startswith(DMC_PREFIX)):
+        task = find_task(name)
     if task is None:
         task = parse_gym_task(known["environment"]) if "environment" in known else stored_task(policy.run)
     if task is None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from planspace.errors import UsageError, quoted, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.tasks import shipped
+from planspace.tasks.dm_control.suite import DMC_PREFIX, find_dmc_task
 from planspace.tasks.task import PAGE, Task
 
 
@@ -52,13 +53,13 @@ def find_task(task: str | Path | Task) -> Task:
     """Return the task with this name, the task of a problem, or the task itself.
 
     Args:
-        task: a name in `task_names()`, the path of a problem file (`.yaml`), or a task. A name of both a task
-            and a shipped problem means the task.
+        task: a name in `task_names()`, a task of DeepMind Control such as `dmc:acrobot-swingup`, the path of
+            a problem file (`.yaml`), or a task. A name of both a task and a shipped problem means the task.
 
     Raises:
         UsageError: no task has this name (the nearest one is suggested), it is neither name nor task, or
             the problem is kinematic.
-        PlanspaceError: the problem file or its model cannot be read.
+        PlanspaceError: the problem file or its model cannot be read, or dm_control is not installed.
     """
     if isinstance(task, Task):
         return task
@@ -73,6 +74,8 @@ def find_task(task: str | Path | Task) -> Task:
     name = str(task)
     if name in TASKS:
         return TASKS[name]
+    if name.startswith(DMC_PREFIX):
+        return find_dmc_task(name)
     if is_problem_file(task) or name in _problem_names():
         from planspace.tasks.problem_file import load_problem
         from planspace.tasks.problem_task import task_of_problem

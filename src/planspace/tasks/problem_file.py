@@ -17,6 +17,7 @@ from planspace.mjcf.subprocess_model import read_model_in_subprocess
 from planspace.physics.space import DEFAULT_VELOCITY_BOUND
 from planspace.tasks import problem_values as values
 from planspace.tasks.check_problem import check_problem
+from planspace.tasks.dm_control.suite import DMC_PREFIX, find_dmc_task
 from planspace.tasks.problem import Box, Problem
 from planspace.tasks.strict_yaml import read_yaml
 from planspace.tasks.task_settings import TaskSettings
@@ -50,8 +51,9 @@ def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> P
     """Return a shipped problem, or read a problem file; the file layout of 2020 is read too.
 
     Args:
-        problem: a name in `shipped_problems()`, the path of a YAML file, or a problem, which is checked. A
-            model that the file names must lie in the file's folder.
+        problem: a name in `shipped_problems()`, a task of DeepMind Control such as `dmc:acrobot-swingup`, the
+            path of a YAML file, or a problem, which is checked. A model that the file names must lie in the
+            file's folder.
         untrusted: whether the file comes from strangers: its model is then read in a separate process, in
             bounded memory and time.
 
@@ -65,11 +67,21 @@ def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> P
     name = str(problem)
     if name in shipped_problems():
         return _read_problem(ASSETS / f"{name}.yaml")
+    if name.startswith(DMC_PREFIX):
+        return _problem_of_suite(name)
     if name.endswith((".yaml", ".yml")):
         return _read_problem(Path(name), read_model_in_subprocess if untrusted else read_model)
     if Path(name).is_file():
         raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
     raise unknown("problem", name, shipped_problems())
+
+
+def _problem_of_suite(name: str) -> Problem:
+    """The planning problem of a task of DeepMind Control."""
+    problem = find_dmc_task(name).problem
+    if not isinstance(problem, Problem):
+        raise UsageError(f"{name} has no planning problem, because its goal is not a state.")
+    return problem
 
 
 def _read_problem(path: Path, read: ReadModel = read_model) -> Problem:

@@ -65,7 +65,8 @@ class Task:
     """One task. Everything that is said of a task stands here; no other list names it."""
 
     name: str
-    """Its name on the command line: letters, digits, `-`, `_` and `.`."""
+    """Its name on the command line: letters, digits, `-`, `_` and `.`. Those of DeepMind Control start with
+    `dmc:`."""
     model: str | Path | ModelSource
     """The MJCF text, the path of an MJCF file, or the files of a model."""
     joints: tuple[str, ...]
@@ -300,7 +301,7 @@ def check_fields(task: Task) -> None:
     Raises:
         UsageError: a value does not fit.
     """
-    if not isinstance(task.name, str) or not re.fullmatch(r"[\w.-]+", task.name):
+    if not isinstance(task.name, str) or not re.fullmatch(r"(dmc:)?[\w.-]+", task.name):
         raise misfit(task, "name", f"must be letters, digits, '-', '_' and '.', got {quoted(task.name)}")
     joints = task.joints
     if not isinstance(joints, tuple) or not joints or not all(isinstance(joint, str) for joint in joints):
