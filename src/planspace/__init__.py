@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from planspace.embed.measurement import Measurement as Measurement
     from planspace.embed.measurement import measure_embedding as measure_embedding
     from planspace.embed.objective import Objective as Objective
+    from planspace.embed.pixels.config import ImageFitConfig as ImageFitConfig
+    from planspace.embed.pixels.encoder import ImageEncoder as ImageEncoder
+    from planspace.embed.pixels.fit import fit_image_encoder as fit_image_encoder
+    from planspace.embed.pixels.saved import load_image_encoder as load_image_encoder
     from planspace.embed.saved_embedding import load_embedding as load_embedding
     from planspace.embed.torch_module import torch_module as torch_module
     from planspace.envs.make import make_env as make_env
@@ -51,6 +55,8 @@ _MODULE_OF = {
     "Demos": "planspace.demos.dataset",
     "Embedding": "planspace.embed.embedding",
     "FitConfig": "planspace.embed.config",
+    "ImageEncoder": "planspace.embed.pixels.encoder",
+    "ImageFitConfig": "planspace.embed.pixels.config",
     "GymTask": "planspace.tasks.gymnasium",
     "Measurement": "planspace.embed.measurement",
     "Objective": "planspace.embed.objective",
@@ -65,9 +71,11 @@ _MODULE_OF = {
     "TrainedPolicies": "planspace.rl.trained",
     "UsageError": "planspace.errors",
     "fit_embedding": "planspace.embed.fit",
+    "fit_image_encoder": "planspace.embed.pixels.fit",
     "jax_function": "planspace.embed.jax_function",
     "load_demos": "planspace.demos.load",
     "load_embedding": "planspace.embed.saved_embedding",
+    "load_image_encoder": "planspace.embed.pixels.saved",
     "load_policy": "planspace.rl.saved_policy",
     "load_problem": "planspace.tasks.problem_file",
     "make_env": "planspace.envs.make",

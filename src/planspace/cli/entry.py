@@ -31,6 +31,7 @@ VERBS = {
     "plan": "Plan demonstrations from random starts to a goal.",
     "demos": "Show, check, draw, film, import and export demonstrations.",
     "embed": "Train an embedding on demonstrations.",
+    "pixels": "Train an encoder that reads z from pictures.",
     "measure": "Measure the geometry of an embedding on demonstrations.",
     "export": "Export the encoder of an embedding for programs without Python.",
     "train": "Train policies on a task, all seeds at once.",

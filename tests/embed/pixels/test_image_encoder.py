@@ -1,0 +1,140 @@
+"""Encoders of pictures: the network in NumPy, checks of images, and a training with few steps."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+from planspace import (
+    Demos,
+    ImageEncoder,
+    ImageFitConfig,
+    PictureConfig,
+    fit_image_encoder,
+    load_image_encoder,
+)
+from planspace.cli import main
+from planspace.embed.pixels.stacks import draw_stacks, stacks_of_plans
+from planspace.embed.pixels.training import init
+from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.pictures import Pictures
+from planspace.storage.files import write_bytes
+
+TINY = ImageFitConfig(
+    stacks=48,
+    channels=(4, 4),
+    hidden=8,
+    steps=30,
+    batch=16,
+    pictures=PictureConfig(width=16, height=16, frames=2),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(
+    opengl: str, demos: Demos, embedding_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    from planspace import load_embedding
+
+    out = tmp_path_factory.mktemp("pixels") / "encoder"
+    fit_image_encoder(demos, load_embedding(embedding_folder), config=TINY, out=out, verbose=False)
+    return out
+
+
+@pytest.fixture
+def encoder(folder: Path) -> ImageEncoder:
+    return load_image_encoder(folder)
+
+
+def test_numpy_computes_what_was_trained() -> None:
+    network = init(TINY, 3, jr.key(0)).network
+    images = np.random.default_rng(0).integers(0, 256, (5, *TINY.pictures.stack_shape), dtype=np.uint8)
+    found = np.stack([network.to_numpy()(stack) for stack in images])
+    np.testing.assert_allclose(found, network(jnp.asarray(images)), atol=1e-4)
+
+
+def test_a_finished_training_is_loaded(folder: Path, encoder: ImageEncoder, demos: Demos) -> None:
+    images = np.zeros((2, 3, *TINY.pictures.stack_shape), dtype=np.uint8)
+    assert encoder.encode(images).shape == (2, 3, encoder.z_dim)
+    assert encoder.states(images).shape == (2, 3, 4)
+    again = fit_image_encoder(demos, encoder.teacher, config=TINY, out=folder)
+    np.testing.assert_array_equal(again.encode(images), encoder.encode(images))
+    losses = [json.loads(line)["loss"] for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert len(losses) == 1 and losses[0] > 0
+    assert "Privileged state" in (folder / "README.md").read_text()
+    with pytest.raises(PlanspaceError, match="was made with other settings: fit.steps"):
+        fit_image_encoder(demos, encoder.teacher, config=replace(TINY, steps=31), out=folder)
+
+
+def test_stacks_end_in_their_states(opengl: str, demos: Demos) -> None:
+    """Stacks of motions and of plans show the same as `render_states`; a plan's first picture repeats."""
+    plans, stacks = stacks_of_plans(demos, np.array([1]), TINY.pictures, 0.04)
+    shown = plans.render_states(None, TINY.pictures)
+    np.testing.assert_array_equal(stacks.images[..., -3:], shown)
+    np.testing.assert_array_equal(stacks.images[1:, ..., :3], shown[:-1])
+    np.testing.assert_array_equal(stacks.images[0, ..., :3], shown[0])
+    drawn = draw_stacks([(demos, demos.states)], TINY, 0.04, 0)
+    again = draw_stacks([(demos, demos.states)], TINY, 0.04, 0)
+    np.testing.assert_array_equal(drawn.images, again.images)
+    last = Pictures(*demos.info.compile(), TINY.pictures).of_states(drawn.states)
+    np.testing.assert_array_equal(drawn.images[..., -3:], last)
+    with pytest.raises(UsageError, match="`frame_s` must be a multiple of the model's time step of 0.02 s"):
+        draw_stacks([(demos, demos.states)], TINY, 0.03, 0)
+
+
+def test_other_colours_are_far_away(encoder: ImageEncoder, demos: Demos) -> None:
+    own, strange = TINY.pictures, replace(TINY.pictures, vary_colors=0.5, vary_camera=0.3)
+    rows = np.arange(0, len(demos.states), 20)
+    stacks = [np.tile(demos.render_states(rows, config), 2) for config in (own, strange)]
+    near, far = (np.median(encoder.distance(images)) for images in stacks)
+    assert near < 1.2 and far > 2 * near
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "message"),
+    [
+        ((16, 16, 6), np.float32, "images must be uint8 from 0 to 255, got float32"),
+        ((1, 6, 16, 16), np.uint8, r"channels last, \(16, 16, 6\), got \(6, 16, 16\): use np.moveaxis"),
+        ((1, 32, 32, 6), np.uint8, r"2 frames of 16 x 16 pixels, \(16, 16, 6\), got \(32, 32, 6\)"),
+        ((16, 16), np.uint8, r"2 frames of 16 x 16 pixels, \(16, 16, 6\), got \(16, 16\)"),
+    ],
+)
+def test_wrong_images_are_refused(
+    encoder: ImageEncoder, shape: tuple[int, ...], dtype: type, message: str
+) -> None:
+    for method in (encoder.encode, encoder.states, encoder.distance):
+        with pytest.raises(UsageError, match=message):
+            method(np.zeros(shape, dtype=dtype))
+
+
+def test_damaged_and_missing_folders_are_refused(encoder: ImageEncoder, tmp_path: Path) -> None:
+    with pytest.raises(PlanspaceError, match="contains no encoder.json. `planspace pixels` makes one"):
+        load_image_encoder(tmp_path)
+    out = tmp_path / "copy"
+    encoder.save(out)
+    assert load_image_encoder(out).about == encoder.about
+    write_bytes(out / "encoder.safetensors", b"damaged")
+    with pytest.raises(PlanspaceError, match="its SHA-256 is not the one recorded"):
+        load_image_encoder(out)
+
+
+def test_pictures_that_cannot_be_halved_are_refused() -> None:
+    with pytest.raises(
+        UsageError, match="`width` must be a multiple of 16, which 4 convolutions need, got 40"
+    ):
+        ImageFitConfig(pictures=PictureConfig(width=40))
+
+
+def test_the_command_continues_a_finished_training(
+    folder: Path, demo_folder: Path, embedding_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = "--stacks 48 --channels 4 4 --hidden 8 --steps 30 --batch 16 --width 16 --height 16 --frames 2"
+    given = ["pixels", str(demo_folder), "--teacher", str(embedding_folder), "--out", str(folder)]
+    assert main([*given, *options.split()]) == 0
+    assert "on held-out plans" in capsys.readouterr().out
+    assert main(["pixels", str(demo_folder)]) == 2
+    assert "`--teacher EMBEDDING` is required" in capsys.readouterr().err
