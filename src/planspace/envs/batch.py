@@ -48,16 +48,29 @@ class TaskBatch:
     def step(
         self, actions: Float[np.ndarray, "env control"]
     ) -> tuple[Float[np.ndarray, " env"], Bool[np.ndarray, " env"], Bool[np.ndarray, " env"]]:
-        """Take one step in every episode.
+        """Take one step in every episode, or hold the action for as many steps as the task says.
 
         An episode whose physics diverge keeps the state before the step and earns 0; the caller ends it.
 
         Returns:
             The rewards, whether each episode terminated, and whether its physics diverged.
         """
-        before = self.states
         simulator = self.simulator
         applied = np.clip(actions, simulator.control_low, simulator.control_high)
+        reward, terminated, diverged = self._step(applied)
+        for _ in range(1, self.task.action_repeat):
+            ended, last = terminated | diverged, self.states
+            more, now_terminated, now_diverged = self._step(applied)
+            self.states = np.where(ended[:, None], last, self.states)  # an episode that ended stays there
+            reward = reward + np.where(ended, 0.0, more)
+            terminated, diverged = terminated | now_terminated & ~ended, diverged | now_diverged & ~ended
+        return reward, terminated, diverged
+
+    def _step(
+        self, applied: Float[np.ndarray, "env control"]
+    ) -> tuple[Float[np.ndarray, " env"], Bool[np.ndarray, " env"], Bool[np.ndarray, " env"]]:
+        """Take one step of the task with controls within their limits."""
+        before, simulator = self.states, self.simulator
         simulator.step(applied, self.task.frame_skip)
         diverged = simulator.diverged()
         after = np.where(diverged[:, None], before, simulator.states())

@@ -186,7 +186,9 @@ def spaces_of(
 
 def frames_per_second(batch: TaskBatch) -> int:
     """Return the number of steps in a second of simulated time."""
-    return round(1.0 / (batch.task.frame_skip * batch.simulator.model.opt.timestep))
+    return round(
+        1.0 / (batch.task.action_repeat * batch.task.frame_skip * batch.simulator.model.opt.timestep)
+    )
 
 
 def given_states(given: Any, space: StateSpace, num: int | None = None) -> np.ndarray:

@@ -63,8 +63,13 @@ class Arm:
 
     @property
     def steps(self) -> int:
-        """Steps per iteration and seed: one episode of full length in each environment."""
+        """Actions per iteration and seed: one episode of full length in each environment."""
         return self.num_envs * self.task.horizon
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps per iteration and seed; an action lasts `config.action_repeat` of them."""
+        return self.steps * self.config.action_repeat
 
     @property
     def num_actions(self) -> int:

@@ -78,6 +78,9 @@ class TrainConfig:
     batch_steps: int = 0
     """Environment steps per iteration and seed, rounded to whole episodes. 0: the algorithm's default, which
     is 1000 for SAC and 4000 for other algorithms."""
+    action_repeat: int = field(default=1, metadata=unset_if(1))
+    """Environment steps for which each action is held; their rewards are summed. `steps` and `batch_steps`
+    count environment steps."""
     eval_every: int = 25
     """Iterations between evaluations with deterministic episodes; 0 evaluates only at the end."""
 
@@ -116,7 +119,7 @@ class TrainConfig:
             check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
         self._check_uses_of_plans()
         for least, names in enumerate(
-            (("seed", "eval_every", "clone"), ("num_seeds", "steps", "batch_steps"))
+            (("seed", "eval_every", "clone"), ("num_seeds", "steps", "batch_steps", "action_repeat"))
         ):
             for name in names:
                 check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")

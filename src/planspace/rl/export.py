@@ -62,6 +62,8 @@ def export_policies(
         versions=Provenance.current().plain(),
         **content,
     )
+    if config.action_repeat != 1:
+        about["action_repeat"] = config.action_repeat
     if config.goal != "raw":
         about["goal"] = config.goal
     if networks[0].activation != "tanh":

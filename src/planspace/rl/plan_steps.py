@@ -45,7 +45,7 @@ def plan_steps(
         UsageError: no step remains.
     """
     task, simulator = batch.task, batch.simulator
-    duration = task.frame_skip * float(simulator.model.opt.timestep)
+    duration = task.action_repeat * task.frame_skip * float(simulator.model.opt.timestep)
     parts = [average_controls(demos.episode(i), duration) for i in range(len(demos))]
     starts = demos.offsets[:-1]
     rows = np.concatenate([start + np.arange(len(part)) for start, part in zip(starts, parts, strict=True)])

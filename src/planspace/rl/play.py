@@ -23,6 +23,7 @@ from planspace.progress import progress
 from planspace.rl.goal_observation import GoalObservation
 from planspace.rl.observe import Observer
 from planspace.rl.saved_policy import Policy
+from planspace.tasks.action_repeat import repeat_actions
 from planspace.tasks.catalog import find_task
 from planspace.tasks.dm_control.suite import DMC_PREFIX
 from planspace.tasks.gymnasium import AnyTask, GymTask, parse_gym_task
@@ -76,7 +77,7 @@ def _task_of(policy: Policy, task: AnyTask | None) -> AnyTask:
         raise UsageError(f"{policy.run} was trained on the task {name!r}, got {task.name!r}.")
     if known and known != task_content(task):
         raise UsageError(f"{policy.run} was trained on another version of the task {name!r}.")
-    return task
+    return repeat_actions(task, about.get("action_repeat", 1))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # the policy checks that its actions are finite
@@ -180,4 +181,5 @@ def _described_states(task: AnyTask, env: gymnasium.Env[Any, Any]) -> tuple[Stat
         return StateInfo(names, ("",) * len(names), (), len(task.sizes.action_low)), env.unwrapped.step_time
     model, space = task.compile()
     known = {"problem": task.problem_name, "joints": task.joints, "source": task.source}
-    return StateInfo.of_model(model, space, **known), task.frame_skip * model.opt.timestep
+    step = task.action_repeat * task.frame_skip * model.opt.timestep
+    return StateInfo.of_model(model, space, **known), step

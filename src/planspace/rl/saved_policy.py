@@ -55,6 +55,8 @@ class PoliciesInfo(TypedDict):
     reward: NotRequired[RewardType]
     z: ZMode
     z_to: ZTarget
+    action_repeat: NotRequired[int]
+    """Environment steps for which each action is held; 1 if it is missing."""
     goal: NotRequired[GoalMode]
     """Whether z of the goal is observed; `raw` if it is missing."""
     num_obs: int
@@ -252,7 +254,9 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
 
 
 def _check_output(about: dict[str, Any]) -> None:
-    """Check how the network computes actions."""
+    """Check how the network computes actions, and how long they last."""
+    if type(repeat := about.get("action_repeat", 1)) is not int or repeat < 1:
+        raise ValueError(f"action_repeat is {quoted(repeat)}")
     if about.get("activation", "tanh") not in get_args(Activation):
         raise ValueError(f"activation is {quoted(about['activation'])}")
     if type(is_squashed := about.get("squashed", False)) is not bool:

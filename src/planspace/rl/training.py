@@ -46,6 +46,7 @@ from planspace.storage.checkpoint import FILE, load_checkpoint, save_checkpoint
 from planspace.storage.rows import append_rows
 from planspace.storage.runs import lock_folder, open_run
 from planspace.storage.tracking import TrackerName, open_trackers
+from planspace.tasks.action_repeat import repeat_actions, single_actions
 from planspace.tasks.gymnasium import AnyTask, find_training_task
 from planspace.tasks.observation_types import find_name
 from planspace.tasks.stored_task import save_task
@@ -125,8 +126,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         PlanspaceError: the folder holds a run with other settings, or cannot be written.
         UsageError: settings, task, algorithm, embedding and plans do not fit together.
     """
-    task = find_training_task(task)
     config = with_algorithm(config or TrainConfig(), algorithm)
+    task = repeat_actions(find_training_task(task), config.action_repeat)
     check_uses_of_plans(config)
     check_env_workers(task, env_workers)
     find_name(f"reward type of {task.name}", config.task_reward, task.reward_types)
@@ -160,7 +161,7 @@ def _with_plans(arm: Arm, plans: Plans) -> Arm:
 
 def num_episodes(task: AnyTask, batch_steps: int) -> int:
     """Number of environments per seed: the number of whole episodes closest to `batch_steps`."""
-    return max(1, round(batch_steps / task.horizon))
+    return max(1, round(batch_steps / single_actions(task).horizon))
 
 
 def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequence[TrackerName]) -> Arrays:
@@ -177,8 +178,8 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
             state = _cloned(training, state)
         state = _run(training, state, first, out, track)
     history = {
-        "steps": arm.steps * np.arange(1, config.iterations + 1),
-        "eval_steps": arm.steps * np.array(config.evaluations),
+        "steps": arm.env_steps * np.arange(1, config.iterations + 1),
+        "eval_steps": arm.env_steps * np.array(config.evaluations),
         **{key: np.asarray(value) for key, value in state.history.items()},
     }
     export_policies(out, arm, _networks(training, state), embeddings, history[EVALUATION][-1].tolist())
@@ -214,7 +215,7 @@ def _with_numbers(training: _Training, state: _State, names: Sequence[str]) -> _
 
 
 def _run(training: _Training, state: _State, first: int, out: Path, track: Sequence[TrackerName]) -> _State:
-    config, steps, done = training.arm.config, training.arm.steps, first
+    config, steps, done = training.arm.config, training.arm.env_steps, first
     saved = first
     with (
         open_trackers(track, out) as add_scalars,

@@ -7,6 +7,7 @@ import yaml
 
 from planspace.errors import PlanspaceError
 from planspace.storage.files import make_folder, write_bytes
+from planspace.tasks.action_repeat import single_actions
 from planspace.tasks.catalog import shipped_tasks
 from planspace.tasks.gymnasium import AnyTask, GymTask
 from planspace.tasks.problem import Box, Problem
@@ -47,6 +48,7 @@ def task_content(task: AnyTask) -> dict[str, Any]:
     """What a run records of its task besides the name: nothing if planspace ships it."""
     if isinstance(task, GymTask):
         return {"environment": task.plain()}
+    task = single_actions(task)
     return {} if shipped_tasks().get(task.name) == task else {"task_sha256": task.hash}
 
 

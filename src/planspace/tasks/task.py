@@ -65,8 +65,7 @@ class Task:
     """One task. Everything that is said of a task stands here; no other list names it."""
 
     name: str
-    """Its name on the command line: letters, digits, `-`, `_` and `.`. Those of DeepMind Control start with
-    `dmc:`."""
+    """Its name on the command line: letters, digits, `-`, `_` and `.`; `dmc:` starts DeepMind Control's."""
     model: str | Path | ModelSource
     """The MJCF text, the path of an MJCF file, or the files of a model."""
     joints: tuple[str, ...]
@@ -76,13 +75,15 @@ class Task:
     start_high: Sequence[float | int]
     """Upper bound of the first states."""
     horizon: int
-    """Steps of an episode before it is truncated."""
+    """Actions in an episode before it is truncated."""
     reward: Reward
     """(before, after, control, target) to the reward of a step [env]."""
     at_goal: AtGoal
     """(states, target) to whether each state is at the goal [env]; the sparse reward pays 1 there."""
     frame_skip: int = 1
     """Physics steps in one step of the environment."""
+    action_repeat: int = 1
+    """Steps for which an action is held, and whose rewards are summed; see `tasks.action_repeat`."""
     observe: Observe = states_only
     """(states, target) to the raw observations [env, obs]; the default observes the state."""
     obs_fields: tuple[tuple[str, str], ...] = ()
@@ -190,8 +191,9 @@ class Task:
 
         names = [f.name for f in fields(self) if f.name not in ("model", "problem")]
         settings = {name: function_settings(getattr(self, name)) for name in names}
-        if self.draw_starts is None:  # earlier versions did not have it
-            del settings["draw_starts"]
+        for name, default in (("draw_starts", None), ("action_repeat", 1)):  # earlier versions had neither
+            if getattr(self, name) == default:
+                del settings[name]
         source = self.source
         settings["problem"] = self.problem_name
         return json_hash({**settings, "model": source.text if source.is_text else source.plain()})
@@ -306,18 +308,15 @@ def check_fields(task: Task) -> None:
     joints = task.joints
     if not isinstance(joints, tuple) or not joints or not all(isinstance(joint, str) for joint in joints):
         raise misfit(task, "joints", f"must be a list of one joint name or more, got {quoted(joints)}")
-    for name in ("horizon", "frame_skip"):
+    for name in ("horizon", "frame_skip", "action_repeat"):
         value = getattr(task, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise misfit(task, name, f"must be a whole number of at least 1, got {quoted(value)}")
     low, high = _numbers(task, "start_low"), _numbers(task, "start_high")
     if low.shape != high.shape or (low > high).any():
-        raise misfit(
-            task,
-            "start_low",
-            f"must have as many numbers as start_high and none above it, got {quoted(task.start_low)} and "
-            f"{quoted(task.start_high)}",
-        )
+        bounds = f"{quoted(task.start_low)} and {quoted(task.start_high)}"
+        problem = f"must have as many numbers as start_high and none above it, got {bounds}"
+        raise misfit(task, "start_low", problem)
     for name in ("reward", "at_goal", "observe", "terminated", *OPTIONAL):
         value = getattr(task, name)
         if not callable(value) and not (value is None and name in OPTIONAL):
