@@ -1,12 +1,13 @@
 """Progress bars with the time left: a bar on a terminal or in a notebook, one line a minute in a log."""
 
 import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, Protocol, TypeVar
 
-from tqdm import tqdm
+from tqdm import TqdmWarning, tqdm
 
 LOG_INTERVAL_S = 60.0
 """Seconds between two lines of a log."""
@@ -112,6 +113,10 @@ def _in_notebook() -> bool:
 
 
 def _notebook_bar() -> type[tqdm]:
-    from tqdm.auto import tqdm as notebook_tqdm  # a widget, or text if ipywidgets is missing
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", TqdmWarning
+        )  # ipywidgets is missing: the bar is text then, which will do
+        from tqdm.auto import tqdm as notebook_tqdm
 
     return notebook_tqdm
