@@ -185,6 +185,11 @@ def scores_of(rows: Sequence[Row]) -> Scores:
     return Scores(tuple(seeds), np.array(steps), returns, 0)
 
 
+def last_evaluation(scores: Scores) -> Scores:
+    """The scores with the last evaluation only."""
+    return replace(scores, steps=scores.steps[-1:], returns=scores.returns[-1:])
+
+
 def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
     """The last evaluation of each arm, and the verdicts of claims, as lines of Markdown."""
     chosen = [
@@ -204,10 +209,8 @@ def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
     margin = MARGIN * float(np.diff(find_task(options.task).return_range or DMC_RANGE)[0])
     for text, arm, other in CLAIMS:
         if {arm, other} <= set(found):
-            ends = {name: replace(found[name], returns=found[name].returns[-1:]) for name in (arm, other)}
-            ends = {name: replace(end, steps=end.steps[-1:]) for name, end in ends.items()}
-            claim = Claim(text, "ours", "final", arm, other, margin=margin)
-            verdict = judge(claim, ends[arm], ends[other])
+            last, base = (last_evaluation(found[name]) for name in (arm, other))
+            verdict = judge(Claim(text, "ours", "final", arm, other, margin=margin), last, base)
             if verdict.seeds < MIN_SEEDS:
                 lines += [f"{text}: {verdict.verdict}, because {verdict.seeds} seeds are too few."]
             else:
