@@ -101,7 +101,7 @@ def train_network(
             losses = []
             for step in range(first, first + length):
                 batch = np.random.default_rng((seed, step)).integers(len(images), size=config.batch)
-                state, loss = _step(state, images[batch], targets[batch], config)
+                state, loss = _step(state, jnp.asarray(images[batch]), jnp.asarray(targets[batch]), config)
                 losses.append(loss)
             first += length
             loss = float(np.mean(losses))
