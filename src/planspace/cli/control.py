@@ -32,7 +32,7 @@ HELP = (
 )
 IN_TIME = 0.99
 """Fraction of control steps above which a run counts as real time."""
-RECORDED = ("task", "task_sha256", "problem", "embedding", "seed", "episode_steps", "versions")
+RECORDED = ("task", "task_sha256", "problem", "embedding", "seed", "episode_steps", "versions", "pixels")
 """What a run's config.json records besides settings."""
 
 
@@ -51,6 +51,9 @@ class Control:
     """The embedding folder, or the name of a ready-made one; needed for --cost z."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The run's folder. The same command continues an interrupted run; a larger --episodes adds to it."""
+    pixels: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """An encoder of `planspace pixels`. The controller then sees pictures only: it looks ahead from the state
+    that the encoder estimates. --embedding is its teacher by default."""
     episodes: Annotated[int, arg(metavar="N")] = 10
     """Number of episodes."""
     episode_s: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: the task's)")] = None
@@ -90,6 +93,7 @@ class Control:
         from planspace.control.plant import Plant
         from planspace.control.runs import control_into
         from planspace.demos.load import load_demos
+        from planspace.embed.pixels.saved import load_image_encoder
         from planspace.embed.saved_embedding import load_embedding
         from planspace.study.control_report import write_control_report
 
@@ -100,6 +104,9 @@ class Control:
         check_least(self, episodes=1, workers=0, seed=0)
         plant = Plant.find(load_or_name(self.problem))
         embedding = None if self.embedding is None else load_embedding(self.embedding)
+        encoder = None if self.pixels is None else load_image_encoder(self.pixels)
+        if embedding is None and encoder is not None:
+            embedding = encoder.teacher
         plans = None if self.plans is None else load_demos(self.plans)
         if note := support_note(plant, self.config, embedding):
             print(note, file=sys.stderr)
@@ -112,6 +119,7 @@ class Control:
             seed=self.seed,
             episode_s=self.episode_s,
             workers=self.workers or None,
+            encoder=encoder,
         )
         self._print(found)
         report = write_control_report(self.out, found, self.config, embedding, plans, film=not self.no_film)

@@ -28,6 +28,9 @@ class Play:
     problem holds its task."""
     seed: Annotated[str, arg(metavar="best|N")] = "best"
     """The seed to play. best: the seed with the highest return in the last evaluation."""
+    pixels: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
+    """An encoder of `planspace pixels`. The policy then sees what the encoder reads from pictures: z, and the
+    estimated state where it observes the state."""
     episodes: Annotated[int, arg(metavar="N")] = 10
     """Number of episodes."""
     start_seed: int = 1000
@@ -38,6 +41,7 @@ class Play:
     def __call__(self) -> None:
         """Play, print the returns, and save the film."""
         from planspace.demos.render import check_film
+        from planspace.embed.pixels.saved import load_image_encoder
         from planspace.rl.play import film, play
         from planspace.rl.saved_policy import load_policy
         from planspace.tasks.gymnasium import find_training_task
@@ -47,7 +51,8 @@ class Play:
             check_film(self.video)
         policy = load_policy(self._chosen_run(), "best" if self.seed == "best" else int(self.seed))
         task = find_training_task(load_or_name(self.task)) if self.task else None
-        returns, demos = play(policy, self.episodes, self.start_seed, task)
+        encoder = None if self.pixels is None else load_image_encoder(self.pixels)
+        returns, demos = play(policy, self.episodes, self.start_seed, task, encoder=encoder)
         print(f"seed {policy.seed}, {counted(len(returns), 'episode')} of {policy.about['task']}")
         print(f"return: mean {returns.mean():.1f}, worst {returns.min():.1f}, best {returns.max():.1f}")
         if self.video is not None:

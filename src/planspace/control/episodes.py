@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.control.controller import Controller
+from planspace.embed.pixels.sight import Sight
 
 LAST_S = 1.0
 """An episode succeeds if every state of the last second is at the goal [s]."""
@@ -49,7 +50,11 @@ class ControlledEpisode:
 
 
 def run_episode(
-    controller: Controller, seed: int, index: int, num_steps: int | None = None
+    controller: Controller,
+    seed: int,
+    index: int,
+    num_steps: int | None = None,
+    sight: Sight | None = None,
 ) -> ControlledEpisode:
     """Run one episode from a start of the task.
 
@@ -61,17 +66,20 @@ def run_episode(
         seed: seed of starts, goals and samples.
         index: number of the episode.
         num_steps: control steps; by default the task's horizon.
+        sight: estimates the state that the controller sees from pictures; None shows it the true state.
     """
     plant = controller.plant
     task = plant.task
     starts, targets = task.sample_starts(1, np.random.default_rng((seed, index)))
     controller.reset((seed, index, 1), targets[0])
+    if sight is not None:
+        sight.restart(np.random.default_rng((seed, index, 2)))
     simulator = plant.simulator(1)
     simulator.reset(starts)
     states, controls, rewards, regulated, seconds = [starts[0]], [], [], [], []
     for _ in range(num_steps or task.horizon):
         began = time.perf_counter()
-        control = controller(states[-1])
+        control = controller(states[-1] if sight is None else sight.see(states[-1])[1])
         seconds.append(time.perf_counter() - began)
         simulator.step(control[None], task.frame_skip)
         if simulator.diverged()[0]:

@@ -24,6 +24,7 @@ from planspace.demos.folder import DemoFolder
 from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
+from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.progress import progress
 from planspace.seams import plain_settings
 from planspace.storage.checks import reject_malformed
@@ -67,6 +68,7 @@ def control_into(  # noqa: PLR0913
     episode_s: float | None = None,
     workers: int | None = None,
     label: str = "control",
+    encoder: ImageEncoder | None = None,
 ) -> ControlSummary:
     """Control episodes into a run folder; those that it holds are kept.
 
@@ -83,6 +85,7 @@ def control_into(  # noqa: PLR0913
         episode_s: length of an episode [s]; by default the task's.
         workers: number of processes; by default one for each CPU, 0 for none.
         label: what the progress bar says.
+        encoder: estimates the state from pictures; None shows the controller the true state.
 
     Returns:
         What all episodes amount to.
@@ -99,14 +102,15 @@ def control_into(  # noqa: PLR0913
         joints=plant.problem.joints,
         source=plant.problem.source,
     )
-    check_fit(plant, embedding, config)
+    check_fit(plant, embedding, config, encoder)
     with lock_folder(out):
-        open_run(out, _settings(plant, embedding, config, seed, steps))
+        open_run(out, _settings(plant, embedding, config, seed, steps) | _pixels(encoder))
         settings = DatasetSettings(problem=plant.problem.hash, seed=seed)
         whole, demos = (DemoFolder(out / name, info, settings) for name in (EPISODES, DEMOS))
         remaining = range(whole.next_index, num)
         if remaining:
-            with closing(control_all(plant, embedding, config, seed, remaining, steps, workers)) as episodes:
+            run = control_all(plant, embedding, config, seed, remaining, steps, workers, encoder)
+            with closing(run) as episodes:
                 _extend(out, whole, demos, _shown(label, remaining, episodes))
         return summarise(out, config)
 
@@ -125,6 +129,11 @@ def _settings(
         **plain_settings(config),
         "versions": Provenance.current("mujoco").plain(),
     }
+
+
+def _pixels(encoder: ImageEncoder | None) -> dict[str, str]:
+    """What a run from pixels records in addition; others are recorded as in earlier versions."""
+    return {} if encoder is None else {"pixels": encoder.hash}
 
 
 def summarise(out: Path, config: ControlConfig) -> ControlSummary:

@@ -10,20 +10,26 @@ from planspace.control.controller import Controller
 from planspace.control.episodes import ControlledEpisode, run_episode
 from planspace.control.plant import Plant
 from planspace.embed.embedding import Embedding
+from planspace.embed.pixels.encoder import ImageEncoder
+from planspace.embed.pixels.sight import Sight, check_sight
 from planspace.errors import PlanspaceError
 from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_cores, pack
 
 
-def check_fit(plant: Plant, embedding: Embedding | None, config: ControlConfig) -> None:
-    """Check that plant, embedding and settings fit together, before anything is written.
+def check_fit(
+    plant: Plant, embedding: Embedding | None, config: ControlConfig, encoder: ImageEncoder | None
+) -> None:
+    """Check that plant, embedding, settings and encoder fit together, before anything is written.
 
     Raises:
         UsageError: they do not.
     """
+    if encoder is not None:
+        check_sight(encoder, plant.space, plant.control_step)
     _make_controller(plant, embedding, config)
 
 
-def control_all(
+def control_all(  # noqa: PLR0913
     plant: Plant,
     embedding: Embedding | None,
     config: ControlConfig,
@@ -31,6 +37,7 @@ def control_all(
     indices: range,
     num_steps: int,
     workers: int | None,
+    encoder: ImageEncoder | None = None,
 ) -> Generator[ControlledEpisode, None, None]:
     """Run episodes and yield them in order.
 
@@ -42,13 +49,15 @@ def control_all(
         indices: numbers of the episodes.
         num_steps: control steps of an episode.
         workers: number of processes; 0 for this one, None for one for each CPU.
+        encoder: estimates the state from pictures; None shows the controller the true state.
     """
     if workers == 0:
         controller = _make_controller(plant, embedding, config)
+        sight = _make_sight(plant, encoder)
         for i in indices:
-            yield run_episode(controller, seed, i, num_steps)
+            yield run_episode(controller, seed, i, num_steps, sight)
         return
-    packed = pack((plant, embedding, config))
+    packed = pack((plant, embedding, config, encoder))
     with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
         futures = [pool.submit(_run_packed, packed, seed, i, num_steps) for i in indices]
         try:
@@ -61,12 +70,18 @@ def control_all(
 
 
 def _run_packed(packed: bytes, seed: int, index: int, num_steps: int) -> ControlledEpisode:
-    return run_episode(_controller(packed), seed, index, num_steps)
+    controller, sight = _unpacked(packed)
+    return run_episode(controller, seed, index, num_steps, sight)
 
 
 @lru_cache(maxsize=1)
-def _controller(packed: bytes) -> Controller:
-    return _make_controller(*pickle.loads(packed))
+def _unpacked(packed: bytes) -> tuple[Controller, Sight | None]:
+    plant, embedding, config, encoder = pickle.loads(packed)
+    return _make_controller(plant, embedding, config), _make_sight(plant, encoder)
+
+
+def _make_sight(plant: Plant, encoder: ImageEncoder | None) -> Sight | None:
+    return None if encoder is None else Sight(encoder, plant.model, plant.space, plant.control_step)
 
 
 def _make_controller(plant: Plant, embedding: Embedding | None, config: ControlConfig) -> Controller:

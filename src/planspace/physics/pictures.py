@@ -101,7 +101,6 @@ class Pictures:
         self._make_current = _shared_context(os.getpid())
         self._make_current()
         self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(self._model, maxgeom=MOST_GEOMS)
         for effect in OFF:
             self._scene.flags[int(getattr(mujoco.mjtRndFlag, f"mjRND_{effect}"))] = 0
@@ -157,6 +156,7 @@ class Pictures:
         mujoco.mj_tendon(model, data)
         mujoco.mj_camlight(model, data)
         self._make_current()
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)  # another one may be bound
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(model, data, self._options, None, self._view, everything, self._scene)
         mujoco.mjr_render(self._rect, self._scene, self._context)

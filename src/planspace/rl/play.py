@@ -15,6 +15,7 @@ from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.render import FilmConfig, render_demos, write_film
 from planspace.demos.state_info import StateInfo
+from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.saved_embedding import load_embedding
 from planspace.envs import make as envs
 from planspace.errors import UsageError
@@ -22,6 +23,7 @@ from planspace.physics.rendering import rendering_backend
 from planspace.progress import progress
 from planspace.rl.goal_observation import GoalObservation
 from planspace.rl.observe import Observer
+from planspace.rl.pixels import PixelObservations
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.action_repeat import repeat_actions
 from planspace.tasks.catalog import find_task
@@ -87,6 +89,7 @@ def play(
     seed: int,
     task: AnyTask | None = None,
     starts: Float[np.ndarray, "episode state"] | None = None,
+    encoder: ImageEncoder | None = None,
 ) -> tuple[Float[np.ndarray, " episode"], Demos]:
     """Play episodes without exploration.
 
@@ -96,23 +99,27 @@ def play(
         seed: seed of the first episode's start; the others follow it.
         task: its task, if planspace does not ship it and the run does not hold it.
         starts: the state in which each episode starts; by default the seeds draw them.
+        encoder: reads z and the state from pictures, and the policy sees these; None shows it the true ones.
 
     Returns:
         The return of each episode, and the episodes.
 
     Raises:
         PlanspaceError: an action is not finite.
-        UsageError: as `make_env`.
+        UsageError: as `make_env`, or policy and encoder do not fit together.
     """
     task = _task_of(policy, task)
+    seen = None if encoder is None else PixelObservations(policy, task, encoder)
     env = make_env(policy, task)
     described, step = _described_states(task, env)
     returns, episodes = np.zeros(num), []
     for i in range(num):
         obs, info = env.reset(seed=seed + i, options=None if starts is None else {"state": starts[i]})
         states, actions, ended = [info["state"]], [], False
+        if seen is not None:
+            seen.restart(seed + i)
         while not ended:
-            action = policy(obs)
+            action = policy(obs if seen is None else seen(states[-1], env.unwrapped))
             obs, reward, terminated, truncated, info = env.step(action)
             returns[i] += float(reward)
             states.append(info["state"])

@@ -1,5 +1,6 @@
 """An encoder of pictures, for inference. NumPy only; neither JAX nor MuJoCo's renderer is needed."""
 
+import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,7 @@ class ImageEncoder:
         Raises:
             UsageError: the images have another size, order of axes, number of frames or type.
         """
-        found = self._outputs(images)
-        return self.teacher.encode(self.teacher.inputs.invert(found)) if self.target == "state" else found
+        return self.read(images)[0]
 
     def states(self, images: np.ndarray) -> Float[np.ndarray, "*batch state"]:
         """Estimate the state: the network's output, or what the teacher's decoder makes of z.
@@ -68,8 +68,24 @@ class ImageEncoder:
         Raises:
             UsageError: as for `encode`.
         """
+        return self.read(images)[1]
+
+    def read(
+        self, images: np.ndarray
+    ) -> tuple[Float[np.ndarray, "*batch z"], Float[np.ndarray, "*batch state"]]:
+        """Compute z and estimate the state with one pass through the network.
+
+        Args:
+            images: as for `encode`.
+
+        Raises:
+            UsageError: as for `encode`.
+        """
         found = self._outputs(images)
-        return self.teacher.inputs.invert(found) if self.target == "state" else self.teacher.decode(found)
+        if self.target == "state":
+            states = self.teacher.inputs.invert(found)
+            return self.teacher.encode(states), states
+        return found, self.teacher.decode(found)
 
     def distance(self, images: np.ndarray) -> Float[np.ndarray, "*batch"]:
         """Tell how far the newest pictures are from those of the training, in looks.
@@ -84,6 +100,16 @@ class ImageEncoder:
             UsageError: as for `encode`.
         """
         return self.appearance.distance(self.checked(images)[..., -3:])
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of weights, pictures and teacher, without `about`."""
+        described = (self.target, self.pictures, self.frame_s, self.teacher.hash)
+        digest = hashlib.sha256(repr(described).encode())
+        for layers in (self.network.kernels, self.network.dense, [(self.mean, self.std)]):
+            for array in (part for layer in layers for part in layer):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def checked(self, images: np.ndarray) -> np.ndarray:
         """Return images that the network can read.

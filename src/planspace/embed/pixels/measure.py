@@ -60,8 +60,8 @@ def measure_images(
     teacher = encoder.teacher
     plans, stacks = stacks_of_plans(demos, episodes, pictures or encoder.pictures, encoder.frame_s)
     plans = plans.select(teacher.inputs.names)
-    z, true = encoder.encode(stacks.images), teacher.encode(plans.states)
-    decoded = encoder.states(stacks.images)
+    z, decoded = encoder.read(stacks.images)
+    true = teacher.encode(plans.states)
     every, quaternions = np.arange(len(plans)), teacher.inputs.quaternions
     rows = {state.tobytes(): i for i, state in enumerate(plans.states)}
 

@@ -1,0 +1,69 @@
+"""What a policy observes if z and the state are read from pictures."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from planspace.embed.embedding import Embedding
+from planspace.embed.pixels.encoder import ImageEncoder
+from planspace.embed.pixels.sight import Sight
+from planspace.embed.saved_embedding import load_embedding
+from planspace.errors import UsageError
+from planspace.rl.saved_policy import Policy
+from planspace.tasks.gymnasium import AnyTask
+from planspace.tasks.task import Task
+
+
+class PixelObservations:
+    """The observations of a policy that was trained on states, computed from pictures.
+
+    z is the encoder's. Where the policy observes the state, it gets the encoder's estimate of it; the target
+    of a task with targets is not read from pictures.
+    """
+
+    def __init__(self, policy: Policy, task: AnyTask, encoder: ImageEncoder):
+        """Check that policy and encoder fit together, and open the renderer.
+
+        Raises:
+            UsageError: the task is not one of planspace, or the policy's z is another one than the encoder's.
+            PlanspaceError: no OpenGL backend works here.
+        """
+        if not isinstance(task, Task):
+            raise UsageError(f"pictures are drawn of planspace's own tasks, {task.name} is none.")
+        about = policy.about
+        if about.get("goal", "raw") == "z":
+            raise UsageError("the policy observes z of its goal, which is not read from pictures.")
+        if about["z"] != "none" and not _same_z(load_embedding(policy.embedding), encoder.teacher):
+            raise UsageError(
+                "the policy was trained with another embedding than the teacher of the encoder: train the "
+                f"encoder with --teacher {policy.embedding}."
+            )
+        model, space = task.compile()
+        self._sight = Sight(encoder, model, space, task.frame_skip * float(model.opt.timestep))
+        self._task, self._about = task, about
+
+    def restart(self, seed: int) -> None:
+        """Begin an episode."""
+        self._sight.restart(np.random.default_rng((seed, 1)))
+
+    def __call__(self, state: Float[np.ndarray, " state"], env: Any) -> Float[np.ndarray, " obs"]:
+        """Draw the present state, and return what the policy observes.
+
+        Args:
+            state: the present state, which is only drawn.
+            env: the environment, which knows the target.
+        """
+        z, seen = self._sight.see(state)
+        about, parts = self._about, []
+        if about["z"] != "replace" or about["z_to"] != "both":
+            parts.append(self._task.observe_as(about["obs"], seen[None], env.target[None])[0])
+        if about["z"] != "none":
+            parts.append(z)
+        return np.concatenate(parts).astype(np.float32)
+
+
+def _same_z(a: Embedding, b: Embedding) -> bool:
+    """Whether two embeddings compute the same z; one of them may also estimate times."""
+    return replace(a, time_head=None).hash == replace(b, time_head=None).hash

@@ -1,0 +1,81 @@
+"""Episodes seen through pictures: what an encoder reads, controllers, and policies."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import planspace
+from planspace import ControlConfig, Embedding
+from planspace.cli import main
+from planspace.control.plant import Plant
+from planspace.control.runs import EPISODES, control_into
+from planspace.demos.load import load_demos
+from planspace.embed.pixels.sight import Sight
+from planspace.errors import UsageError
+from planspace.rl.play import play
+from planspace.rl.saved_policy import load_policy
+from planspace.tasks.catalog import find_task
+
+from .untrained import PICTURES, untrained
+
+PUSH = np.full(1, 3.0)
+
+
+def test_an_episode_looks_as_the_environment_shows_it(opengl: str, embedding: Embedding) -> None:
+    task, encoder = find_task("cartpole-swingup"), untrained(embedding)
+    sight = Sight(encoder, *task.compile(), 0.04)
+    env = planspace.make_env(task, obs="pixels", pictures=PICTURES)
+    for seed in (0, 1):
+        sight.restart(np.random.default_rng(0))
+        obs, info = env.reset(seed=seed)
+        for _ in range(3):
+            z, state = sight.see(info["state"])
+            np.testing.assert_array_equal(z, encoder.encode(obs))
+            np.testing.assert_array_equal(state, encoder.states(obs))
+            obs, _, _, _, info = env.step(PUSH)
+    sight.close(), env.close()
+
+
+def test_strange_pictures_are_said(opengl: str, embedding: Embedding) -> None:
+    sight = Sight(untrained(embedding, strict=True), *find_task("cartpole-swingup").compile(), 0.04)
+    with pytest.warns(UserWarning, match="does not look like those of the training: distance"):
+        sight.see(np.zeros(4))
+
+
+def test_a_controller_sees_only_pictures(opengl: str, embedding: Embedding, tmp_path: Path) -> None:
+    plant, encoder = Plant.find("cartpole-swingup"), untrained(embedding)
+    config = ControlConfig(samples=4, horizon_s=0.08)
+    run = {"num": 1, "seed": 0, "episode_s": 0.12, "workers": 0}
+    control_into(plant, embedding, config, tmp_path / "pixels", **run, encoder=encoder)
+    control_into(plant, embedding, config, tmp_path / "states", **run)
+    found, known = (load_demos(tmp_path / name / EPISODES) for name in ("pixels", "states"))
+    np.testing.assert_array_equal(found.states[0], known.states[0])
+    assert (found.controls != known.controls).any()
+    assert json.loads((tmp_path / "pixels" / "config.json").read_text())["pixels"] == encoder.hash
+    with pytest.raises(UsageError, match=r"frames 0.08 s apart, but the control step is 0.04 s: train"):
+        slow = replace(encoder, frame_s=0.08)
+        control_into(plant, embedding, config, tmp_path / "slow", **run, encoder=slow)
+
+
+def test_a_policy_sees_only_pictures(opengl: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    policy = load_policy("cartpole-swingup")
+    teacher = planspace.load_embedding("cartpole-swingup")
+    encoder = untrained(teacher)
+    returns, seen = play(policy, 1, 7, encoder=encoder)
+    _, known = play(policy, 1, 7)
+    np.testing.assert_array_equal(seen.states[0], known.states[0])
+    assert returns.shape == (1,) and (seen.controls != known.controls).any()
+    encoder.save(tmp_path / "encoder")
+    assert main(["play", "cartpole-swingup", "--pixels", str(tmp_path / "encoder"), "--episodes", "1"]) == 0
+    assert "1 episode of cartpole-swingup" in capsys.readouterr().out
+
+
+def test_another_teacher_is_refused(embedding: Embedding) -> None:
+    policy = load_policy("cartpole-swingup")
+    if policy.about["z"] == "none":
+        pytest.skip("the ready-made policy observes no z")
+    with pytest.raises(UsageError, match="another embedding than the teacher of the encoder"):
+        play(policy, 1, 0, encoder=untrained(embedding))
