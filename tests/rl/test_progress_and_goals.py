@@ -20,6 +20,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.plans import Plans
 from planspace.rl.play import make_env, play
 from planspace.rl.progress import Progress
+from planspace.rl.shaping import Shaping
 from planspace.rl.training import train_policies
 from planspace.seams import plain_settings
 from planspace.tasks.catalog import TASKS
@@ -46,6 +47,22 @@ def test_progress_is_the_decrease_of_the_time_to_go() -> None:
         after = np.array([[0.5, 2.5, 0, 0], [0, 1.0, -2.25, 0], [0, 0, 1.0, 0], [0, 0, 0, 0]])
         # the goal is 0, so the times are 3 to 2.5, 2 to 2.25, 0 to 1 and 1 to 0
         np.testing.assert_allclose(progress(before, after, np.empty((4, 0))), [0.5, -0.25, -1.0, 1.0])
+
+
+def test_shaping_by_time_has_minus_the_time_to_go_as_its_potential() -> None:
+    config = TrainConfig(shaping="time", shaping_scale=6.0, num_seeds=1)
+    embedding = timed(TASK.state_names)
+    shaping = Shaping.of(config, TASK, (embedding,))
+    assert shaping is not None
+    starts, _ = TASK.sample_starts(1000, np.random.default_rng(0))
+    unit = 6.0 / np.abs(starts).max(axis=1).mean()  # the scale for a second; the goal is 0
+    before, after = np.array([[0.0, 3.0, 0, 0]]), np.array([[0.0, 2.5, 0, 0]])
+    paid = shaping.reward_fn(0.9, True)(before, after, *np.zeros((2, 1), bool))
+    np.testing.assert_allclose(paid, unit * (3.0 - 0.9 * 2.5), rtol=1e-6)
+    with pytest.raises(UsageError, match="shaping by 'time' needs an embedding with a time head"):
+        Shaping.of(config, TASK, (replace(embedding, time_head=None),))
+    with pytest.raises(UsageError, match="shaping by 'time' needs an embedding: give --embedding DIR"):
+        Shaping.of(config, TASK, ())
 
 
 def test_progress_is_to_the_goal_of_the_episode() -> None:

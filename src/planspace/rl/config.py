@@ -18,7 +18,7 @@ BATCH_STEPS = 4000
 
 ZMode = Literal["none", "augment", "replace"]
 ZTarget = Literal["both", "policy", "critic"]
-ShapingType = Literal["none", "z", "raw"]
+ShapingType = Literal["none", "z", "raw", "time"]
 GoalMode = Literal["raw", "z"]
 TrainReward = Literal["dense", "sparse", "2020", "progress"]
 ResetStates = Literal["plans", "trees", "both"]
@@ -46,8 +46,8 @@ class TrainConfig:
     the mistakes of the 2020 code. `progress`: the estimated time to the goal that a step saves [s]; reported
     returns are those of `dense`."""
     shaping: ShapingType = "none"
-    """Potential-based reward for approaching the goal, by distance in `z` or between `raw` states. Reported
-    returns leave it out."""
+    """Potential-based reward for approaching the goal, by distance in `z`, distance between `raw` states, or
+    the embedding's estimate of the `time` to the goal. Reported returns leave it out."""
     shaping_scale: float = 10.0
     """Shaping return from a mean start to the goal."""
     resets: float = field(default=0.0, metadata=UNSET_IF_ZERO)
@@ -152,7 +152,7 @@ class TrainConfig:
     @property
     def needs_embedding(self) -> bool:
         """Whether z is observed, or an embedding is used for rewards."""
-        return self.z != "none" or self.shaping == "z" or self.reward == "progress"
+        return self.z != "none" or self.shaping in ("z", "time") or self.reward == "progress"
 
     @property
     def task_reward(self) -> RewardType:

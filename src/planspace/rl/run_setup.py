@@ -32,8 +32,8 @@ def embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) -
     """
     if embeddings and not config.needs_embedding:
         raise UsageError(
-            "an embedding was given, but z is 'none': give --z augment, --z replace, --reward progress or "
-            "--shaping z."
+            "an embedding was given, but z is 'none': give --z augment, --z replace, --reward progress, "
+            "--shaping time or --shaping z."
         )
     if len(embeddings) <= 1:
         return embeddings

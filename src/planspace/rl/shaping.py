@@ -2,6 +2,8 @@
 
 With Phi(x) = -scale d(x, goal) / d_0, the reward of a step grows by gamma Phi(x') - Phi(x) (Ng, Harada and
 Russell 1999). d_0 is the mean distance of the task's starts, so that different distances have the same scale.
+With the shaping `time`, d is the embedding's time to go. Tabular Q-learning that is shaped by Phi makes the
+same updates as without shaping from the first values Phi (Wiewiora 2003), here minus the time to go.
 `PlanSpaceShaping` does this for one environment, this module for all seeds at once.
 """
 
@@ -46,7 +48,8 @@ class Shaping:
             embeddings: the embeddings that make z: one for all seeds, or one for each.
 
         Raises:
-            UsageError: the task has no fixed goal, or shaping by z has no embedding.
+            UsageError: the task has no fixed goal, shaping by z or by time has no embedding, or the embedding
+                has no time head.
         """
         if config.shaping == "none":
             return None
@@ -60,9 +63,10 @@ class Shaping:
 
             distances = (distance,)
         elif embeddings:
-            distances = tuple(_distance_in_z(each, space.names, goal.center) for each in embeddings)
+            measure = _distance_in_z if config.shaping == "z" else _time_to_go
+            distances = tuple(measure(each, space.names, goal.center) for each in embeddings)
         else:
-            raise UsageError("shaping by 'z' needs an embedding: give --embedding DIR.")
+            raise UsageError(f"shaping by {config.shaping!r} needs an embedding: give --embedding DIR.")
         return cls(task, distances, config.num_seeds, config.shaping_scale)
 
     def reward_fn(self, discount: float, bootstrap_timeout: bool) -> ShapeFn:
@@ -112,5 +116,21 @@ def _distance_in_z(
 
     def distance(states: np.ndarray) -> np.ndarray:
         return norm(embedding.encode(states[..., columns]) - z_goal)
+
+    return distance
+
+
+def _time_to_go(
+    embedding: Embedding, names: tuple[str, ...], goal: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    if embedding.time_head is None:
+        raise UsageError(
+            "shaping by 'time' needs an embedding with a time head: train it with `planspace embed "
+            "--time-head` and give --embedding DIR."
+        )
+    columns = list(embedding.columns_of(names))
+
+    def distance(states: np.ndarray) -> np.ndarray:
+        return np.asarray(embedding.time_to_go(states[..., columns], goal[columns]), float)
 
     return distance
