@@ -3,10 +3,11 @@
     python benchmarks/sac_speed.py
     python benchmarks/sac_speed.py --steps 2000 --repetitions 5
 
-Both train one seed on the swing-up with the defaults of Stable-Baselines3: networks of 2 x 256 units, batches
-of 256, and one gradient step per environment step. The two take turns. Prints environment steps per second of
-the whole training, gradient steps per second of the updates alone, and the ratios: the median, minimum and
-maximum of the repetitions. Compiling is not counted.
+Both train one seed on the swing-up with the defaults of Stable-Baselines3: networks of 2 x 256 units,
+batches of 256, and one gradient step per environment step. The two take turns. Prints environment steps per
+CPU second of the whole training, gradient steps per CPU second of the updates alone, and the ratios: the
+median, minimum and maximum of the repetitions. CPU seconds leave out the time of other work on the core.
+Compiling is not counted.
 """
 
 import argparse
@@ -21,19 +22,19 @@ TASK, ENV_ID = "cartpole-swingup", "planspace/CartPoleSwingUp-v0"
 
 
 def seconds(run: Callable[[], Any], kind: type, method: str) -> tuple[float, float]:
-    """Seconds that a training takes, and those within a method that makes the updates."""
+    """CPU seconds that a training takes, and those within a method that makes the updates."""
     own, spent = getattr(kind, method), []
 
     def timed(*args: Any, **options: Any) -> Any:
-        start = time.perf_counter()
+        start = time.process_time()
         result = own(*args, **options)
-        spent.append(time.perf_counter() - start)
+        spent.append(time.process_time() - start)
         return result
 
     with mock.patch.object(kind, method, timed):
-        start = time.perf_counter()
+        start = time.process_time()
         run()
-        return time.perf_counter() - start, sum(spent)
+        return time.process_time() - start, sum(spent)
 
 
 def main() -> None:
@@ -68,7 +69,7 @@ def main() -> None:
         rows.append((*ours, *theirs))
     ours, theirs = np.split(arguments.steps / np.array(rows), 2, axis=1)
     columns = zip(("environment steps", "gradient steps"), ours.T, theirs.T, (ours / theirs).T, strict=True)
-    print(f"{'per second':<20}{'planspace':>10}{'SB3':>10}   ratio (minimum, maximum)")
+    print(f"{'per CPU second':<20}{'planspace':>10}{'SB3':>10}   ratio (minimum, maximum)")
     for name, own, other, ratio in columns:
         spread = f"{np.median(ratio):.1f} ({ratio.min():.1f}, {ratio.max():.1f})"
         print(f"{name:<20}{np.median(own):>10.0f}{np.median(other):>10.0f}   {spread}")

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planspace.cli.plan import Plan
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
 from planspace.tasks.catalog import find_task
@@ -106,3 +107,8 @@ def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
         find_task("dmc:acrobot-swingupp")
     with pytest.raises(UsageError, match="has no planning problem, because its goal is not a state"):
         load_problem("dmc:reacher-hard")
+
+
+def test_the_command_line_plans_with_settings() -> None:
+    plan = Plan.default(["dmc:pendulum-swingup", "--settings", "polish_max_blocks=77", "--out", "plans"])
+    assert plan.config.polish.max_blocks == 77

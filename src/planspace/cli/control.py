@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from planspace.control.runs import ControlSummary
 
 HELP = (
-    f"One of {', '.join(task_names())}; or the path of your own problem file. A name of both a task and a "
-    "problem means the task."
+    f"One of {', '.join(task_names())}; dmc:NAME; or the path of your own problem file. A name "
+    "of both a task and a problem means the task."
 )
 IN_TIME = 0.99
 """Fraction of control steps above which a run counts as real time."""

@@ -23,6 +23,7 @@ from planspace.cli.tables import counted
 from planspace.errors import UsageError
 from planspace.mjcf.assets import ASSETS
 from planspace.plan.config import PlanConfig, find_planner
+from planspace.tasks.dm_control.suite import DMC_PREFIX
 
 if TYPE_CHECKING:
     from planspace.embed.planning_metric import PlanningMetric
@@ -31,7 +32,10 @@ if TYPE_CHECKING:
 PROBLEMS = sorted(path.stem for path in ASSETS.glob("*.yaml"))
 PATH_OPTIONS = ("--config", "--out", "--planner", "--metric")
 """Options whose values could look like the problem."""
-PROBLEM_HELP = f"One of {', '.join(PROBLEMS)}; or the path of your own problem file."
+PROBLEM_HELP = (
+    f"One of {', '.join(PROBLEMS)}; dmc:NAME, a task of DeepMind Control; or the path of your own problem "
+    "file."
+)
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,8 @@ def _named_problem(arguments: Sequence[str]) -> str | None:
     """The problem that a command line names, found before its options are parsed."""
     for position, argument in enumerate(arguments):
         is_option_value = position > 0 and arguments[position - 1] in PATH_OPTIONS
-        if not is_option_value and (argument in PROBLEMS or argument.endswith((".yaml", ".yml"))):
+        is_named = argument in PROBLEMS or argument.startswith(DMC_PREFIX)
+        if not is_option_value and (is_named or argument.endswith((".yaml", ".yml"))):
             return argument
     return None
 
