@@ -27,8 +27,8 @@ class Pixels:
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(required)")] = None
     """The encoder's folder. The same command continues an interrupted training."""
     visited: Annotated[tuple[Path, ...], arg(metavar="DEMOS", help_behavior_hint="(default: none)")] = ()
-    """Datasets of states that were visited, such as CONTROL/episodes of a `planspace control`. Half of the
-    training states come from them (DAgger: control, add the episodes, train again)."""
+    """Datasets of states that were visited, such as CONTROL/episodes of a `planspace control` (DAgger:
+    control, add the episodes, train again). Plans, trees and each of these give equally many states."""
     seed: int = 0
     """Seed of pictures, weights and batches."""
     config: ImageFitConfig = field(default_factory=ImageFitConfig)

@@ -16,8 +16,9 @@ class Repair:
     """Find damaged files and set them aside, so that the command that made a folder can go on."""
 
     folder: Positional[Annotated[Path, arg(metavar="DIR")]]
-    """Folder of a dataset, an embedding, a training run, a `planspace run` or studies. Nothing is removed: a
-    damaged file is renamed to damaged-1-NAME. A dataset keeps the shards before the first damaged one."""
+    """Folder of a dataset, an embedding, an encoder of pictures, a training run, a `planspace run` or
+    studies. Nothing is removed: a damaged file is renamed to damaged-1-NAME. A dataset keeps the shards
+    before the first damaged one."""
 
     def __call__(self) -> None:
         """Print what was damaged."""
@@ -48,6 +49,7 @@ def repair(folder: Path) -> list[str]:
 def _checks() -> tuple[Check, ...]:
     from planspace.demos.manifest import MANIFEST
     from planspace.embed import saved_embedding
+    from planspace.embed.pixels import saved as saved_encoder
     from planspace.rl import history, saved_policy
     from planspace.storage import checkpoint
     from planspace.storage.arrays import read_arrays
@@ -58,6 +60,11 @@ def _checks() -> tuple[Check, ...]:
             saved_embedding.DESCRIPTION,
             unreadable(lambda file: saved_embedding.load_embedding(file.parent)),
             set_aside_with=(saved_embedding.WEIGHTS,),
+        ),
+        Check(
+            saved_encoder.DESCRIPTION,
+            unreadable(lambda file: saved_encoder.load_image_encoder(file.parent)),
+            set_aside_with=(saved_encoder.WEIGHTS,),
         ),
         Check(
             saved_policy.DESCRIPTION,

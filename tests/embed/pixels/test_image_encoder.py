@@ -120,6 +120,12 @@ def test_damaged_and_missing_folders_are_refused(encoder: ImageEncoder, tmp_path
     write_bytes(out / "encoder.safetensors", b"damaged")
     with pytest.raises(PlanspaceError, match="its SHA-256 is not the one recorded"):
         load_image_encoder(out)
+    assert main(["repair", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {
+        "damaged-1-encoder.json",
+        "damaged-1-encoder.safetensors",
+        "teacher",
+    }
 
 
 def test_pictures_that_cannot_be_halved_are_refused() -> None:

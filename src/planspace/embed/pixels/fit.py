@@ -47,8 +47,9 @@ def fit_image_encoder(
         demos: the demonstrations, with a model.
         teacher: the embedding of their states.
         config: the settings.
-        visited: datasets of states that a policy or a controller visited, from which half of the training
-            states are drawn (DAgger: act, add what was visited, train again).
+        visited: datasets of states that a policy or a controller visited (DAgger: act, add what was visited,
+            train again). Plans, search trees if they were kept, and each of these datasets give equally many
+            training states.
         out: a folder for the encoder. The same call continues an interrupted training, and returns a finished
             one. By default nothing is saved.
         seed: seed of stacks, weights and batches.
@@ -116,9 +117,7 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
 def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> ImageEncoder:
     demos, teacher, config = request.demos, request.teacher, request.config
     split = request.split
-    sources = [(demos, demos.states[demos.rows(split["train"])])]
-    sources += [(other, other.states) for other in request.visited]
-    stacks = draw_stacks(sources, config, request.frame_s, request.seed)
+    stacks = draw_stacks(_sources(request), config, request.frame_s, request.seed)
     targets = _targets(request, stacks)
     mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), LEAST_STD)
     scaled = ((targets - mean) / std).astype(np.float32)
@@ -143,6 +142,15 @@ def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> I
     write_bytes(out / CARD, image_card(encoder).encode())
     encoder.save(out)
     return encoder
+
+
+def _sources(request: _Request) -> list[tuple[Demos, np.ndarray]]:
+    """The states that stacks start from: of plans, of search trees if they were kept, and visited ones."""
+    demos, train = request.demos, request.split["train"]
+    sources = [(demos, demos.states[demos.rows(train)])]
+    if demos.trees:
+        sources.append((demos, np.concatenate([demos.trees[int(i)].states for i in train])))
+    return sources + [(other, other.states) for other in request.visited]
 
 
 def _targets(request: _Request, stacks: Stacks) -> np.ndarray:
