@@ -12,11 +12,13 @@ import pytest
 from planspace.embed.config import PRESETS
 from planspace.rl.config import TrainConfig
 from planspace.storage.json_files import write_sealed
+from planspace.study.answer import answer
 from planspace.study.design import Arm, Claim, Study
 from planspace.study.execute import SCHEMA, result_file
 from planspace.study.report import slug, write_report
 from planspace.study.run import open_results
-from planspace.study.summary import read_findings
+from planspace.study.summary import read_findings, summarise
+from planspace.study.tables import as_text
 from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
 
 EVIL = "<script>alert('evil')</script>"
@@ -121,6 +123,35 @@ def test_every_figure_and_table_is_also_a_file(page: Path) -> None:
     assert sum(name.startswith("training-") and name.endswith(".svg") for name in names) == 2
 
 
+def test_the_report_opens_with_the_answer_and_three_pictures(page: Path) -> None:
+    own = own_text(page)
+    opening = own[own.index("<h1>") : own.index("<h2>")]
+    assert opening.count('<img src="data:image/png;base64,') == 3
+    assert (
+        "30 policies were trained for 400,000 steps each: 3 arms with 10 seeds each, in 1 comparison."
+        in opening
+    )
+    assert "Of 2 claims, 2 hold, 0 do not hold, and 0 cannot be decided with these seeds." in opening
+    assert "95 % interval" in opening and "has the highest mean return" in opening
+    assert own.index("<h2>Claims") > own.index("Watch the policies")
+
+
+def test_a_long_list_of_undecided_claims_is_only_counted_in_a_terminal(page: Path) -> None:
+    summary = summarise(read_findings(STUDY, page.parents[1]))
+    undecided = [replace(summary.claims[0], verdict="cannot tell")] * 11
+    shown = as_text(replace(summary, claims=[summary.claims[0], *undecided]))
+    assert shown.count(summary.claims[0].claim.text) == 1
+    assert shown.endswith("11 claims are not decided by these seeds, or were not run; see the report")
+
+
+def test_the_answer_says_when_seeds_decide_nothing(page: Path) -> None:
+    summary = summarise(read_findings(STUDY, page.parents[1]))
+    nothing = [replace(row, verdict="cannot tell", number=None, interval=None) for row in summary.claims[:2]]
+    sentences = answer(replace(summary, claims=nothing))
+    assert sentences[1] == "These seeds are too few to decide any of the 2 claims."
+    assert sentences[2].endswith("is open: 10 seeds give no interval.")
+
+
 @pytest.fixture(scope="module")
 def chromium() -> str:
     found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -132,7 +163,7 @@ def chromium() -> str:
 PROBE = """<script>
 window.addEventListener("load", () => setTimeout(() => {
   const log = [];
-  const table = document.querySelectorAll("table.sortable")[1];
+  const table = document.querySelectorAll("table.sortable")[0];
   const first = () => table.tBodies[0].rows[0].cells[0].textContent.trim();
   table.tHead.rows[0].cells[1].click(); log.push("ascending " + first());
   table.tHead.rows[0].cells[1].click(); log.push("descending " + first());

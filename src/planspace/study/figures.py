@@ -22,6 +22,8 @@ Profile = tuple[np.ndarray, np.ndarray]
 """Returns, and the fraction of seeds above each."""
 DASHES = ("solid", "dash", "dot")
 NO_BANDS: Mapping[str, Curve] = MappingProxyType({})
+FREE_NAMES, LEGEND_LINE = 4, 16
+"""A legend has room for this many names; for each further one, the figure is this many pixels higher."""
 MAX_PATHS = 20
 """Number of demonstrations that `plot_paths` draws. More would hide each other."""
 
@@ -64,9 +66,8 @@ def interactive_curves(
         )
     if solved is not None:
         figure.add_hline(y=solved, line={"color": "#888", "dash": "dot"}, annotation_text="solved")
-    figure.update_layout(
-        xaxis_title="environment steps per seed", yaxis_title="episode return", **_flat_layout()
-    )
+    titles = {"xaxis_title": "environment steps per seed", "yaxis_title": "episode return"}
+    figure.update_layout(**titles, **_flat_layout(len(curves)))
     return figure
 
 
@@ -85,9 +86,8 @@ def _interactive_means(curves: Mapping[str, Curve]) -> go.Figure:
             "dash": DASHES[i // len(COLOURS) % len(DASHES)],
         }
         figure.add_scatter(x=c.steps, y=c.mean, name=label, mode="lines", line=line)
-    figure.update_layout(
-        xaxis_title="environment steps per seed", yaxis_title="episode return", **_flat_layout()
-    )
+    titles = {"xaxis_title": "environment steps per seed", "yaxis_title": "episode return"}
+    figure.update_layout(**titles, **_flat_layout(len(curves)))
     return figure
 
 
@@ -146,7 +146,7 @@ def interactive_profiles(profiles: Mapping[str, Profile]) -> go.Figure:
         line = {"color": COLOURS[colour], "width": 2, "shape": "hv", "dash": DASHES[cycle % len(DASHES)]}
         figure.add_scatter(x=returns, y=fractions, name=label, mode="lines", line=line)
     titles = {"xaxis_title": "final return"}
-    figure.update_layout(yaxis_title="fraction of seeds above it", **titles, **_flat_layout())
+    figure.update_layout(yaxis_title="fraction of seeds above it", **titles, **_flat_layout(len(profiles)))
     return figure
 
 
@@ -156,7 +156,7 @@ def interactive_training(steps: Sequence[int], curves: Sequence[SeedRow], name: 
     for i, values in enumerate(zip(*curves, strict=True)):
         line = {"color": COLOURS[i % len(COLOURS)], "width": 2}
         figure.add_scatter(x=list(steps), y=list(values), name=f"seed {i}", mode="lines", line=line)
-    figure.update_layout(xaxis_title="optimiser steps", yaxis_title=name, **_flat_layout())
+    figure.update_layout(xaxis_title="optimiser steps", yaxis_title=name, **_flat_layout(1))
     return figure
 
 
@@ -232,10 +232,17 @@ def _faint(colour: str) -> str:
     return f"rgba({red},{green},{blue},0.18)"
 
 
-def _flat_layout() -> dict[str, Any]:
-    """Layout of curves: `plain_layout` with grid lines that are visible in light and dark mode."""
+def _flat_layout(num: int) -> dict[str, Any]:
+    """Layout of `num` curves: `plain_layout` with grid lines that are visible in light and dark mode.
+
+    The legend is below the curves, and the figure is higher the more names it has: on a phone, each name has
+    a line of its own.
+    """
     lines = {"gridcolor": "rgba(136,136,136,0.3)", "zerolinecolor": "rgba(136,136,136,0.5)"}
-    return {**plain_layout(), "xaxis": lines, "yaxis": lines}
+    plain = plain_layout()
+    legend = {**plain["legend"], "yanchor": "top", "y": -0.18}
+    height = plain["height"] + LEGEND_LINE * max(0, num - FREE_NAMES)
+    return {**plain, "legend": legend, "height": height, "xaxis": lines, "yaxis": lines}
 
 
 def plain_layout() -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The report of a study: one self-contained HTML file, and its figures and tables in separate files."""
 
+import base64
 import json
 import re
 from dataclasses import asdict, dataclass, replace
@@ -17,6 +18,7 @@ from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
 from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import write_json
 from planspace.study import stats
+from planspace.study.answer import answer
 from planspace.study.design import Arm
 from planspace.study.figures import (
     Profile,
@@ -113,8 +115,25 @@ def write_report(findings: Findings, out: Path) -> tuple[StudySummary, Path]:
     )
     write_page(folder / "tables.md", "tables.md", **content)
     page = folder / "report.html"
-    write_page(page, "study.html", smoothing=SMOOTHING, max_bands=MAX_BANDS, **content)
+    opening = {"answer": answer(summary), "pictures": _pictures(figures, summary)}
+    write_page(page, "study.html", smoothing=SMOOTHING, max_bands=MAX_BANDS, **content, **opening)
     return summary, page
+
+
+def _pictures(figures: Path, summary: StudySummary) -> list[tuple[str, str]]:
+    """The pictures at the top of the report: the caption of each, and its source as data."""
+    panel = next(iter(summary.panels))
+    files = {
+        SPACES: "Demonstrations in z, for each embedding",
+        slug(panel): f"{panel}: returns while learning",
+        f"{slug(panel)}-reached": f"{panel}: final return of each seed",
+    }
+    found = {name: figures / f"{name}.png" for name in files}
+    return [(files[name], _as_data(file)) for name, file in found.items() if file.exists()]
+
+
+def _as_data(file: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode()
 
 
 def _write_tables(findings: Findings, summary: StudySummary, folder: Path) -> None:

@@ -15,6 +15,7 @@ from planspace.study.execute import is_done, read_result
 from planspace.study.findings import Findings, named_fits
 from planspace.study.stats import Scores, Verdict
 from planspace.study.tables import (
+    NOT_RUN,
     ArmRow,
     ClaimRow,
     EmbeddingRow,
@@ -153,7 +154,7 @@ def _claim(findings: Findings, claim: Claim) -> ClaimRow:
     arm, other = (*scores, None)[:2]
     rule = _rule(claim, arms)
     if arm is None or None in scores:
-        return ClaimRow(claim, rule, None, None, 0, "not run yet")
+        return ClaimRow(claim, rule, None, None, 0, NOT_RUN)
     found = stats.judge(claim, arm, other)
     verdict = found.verdict
     if any(len(findings.scores[x.name].seeds) < _planned(x) for x in arms):

@@ -9,6 +9,10 @@ from planspace.study.design import Claim
 from planspace.study.results import Metrics
 from planspace.study.stats import Interval
 
+NOT_RUN = "not run yet"
+"""The verdict on a claim about an arm without results."""
+MAX_UNDECIDED = 10
+"""With more undecided claims than this, a terminal shows their number only."""
 Estimate = tuple[float, Interval]
 """A number and its 95 % interval."""
 
@@ -142,11 +146,17 @@ def as_text(summary: StudySummary) -> str:
             lines.append(f"{line}{row.worst:>9.1f}{row.best:>9.1f}{row.seeds:>7}")
     if summary.claims:
         lines += ["", f"{'claim':<82}{'number':>9}{'95 % interval':>20}  verdict"]
-    for row in summary.claims:
+    undecided = [row for row in summary.claims if row.verdict in (stats.OPEN, NOT_RUN)]
+    hidden = undecided if len(undecided) > MAX_UNDECIDED else []
+    for row in (row for row in summary.claims if row not in hidden):
         if row.number is None or row.interval is None:
             lines.append(f"  {row.claim.text:<80}{'':>29}  {row.verdict}")
             continue
         low, high = row.interval
         number = f"{row.number:>9.2f}{f'({low:.2f}, {high:.2f})':>20}"
         lines.append(f"  {row.claim.text:<80}{number}  {row.verdict}")
+    if hidden:
+        lines.append(
+            f"  {len(hidden)} claims are not decided by these seeds, or were not run; see the report"
+        )
     return "\n".join(lines)
