@@ -177,7 +177,16 @@ def assert_parses(words: list[str], line: str) -> None:
         assert not stop.code, line
 
 
-@pytest.mark.slow
+def test_every_page_is_in_one_table_of_contents() -> None:
+    named = []
+    for page in PAGES:
+        for listing in re.findall(r"^```{toctree}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S):
+            entries = [line for line in listing.splitlines() if line and not line.startswith(":")]
+            named += [page.parent / f"{entry}.md" for entry in entries]
+    assert sorted(named) == [page for page in PAGES if page != Path("index.md")]
+
+
+@pytest.mark.nightly
 def test_build_has_no_warnings(tmp_path: Path) -> None:
     for module in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(module, reason="needs the extra docs")

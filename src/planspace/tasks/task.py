@@ -65,7 +65,8 @@ class Task:
     """One task. Everything that is said of a task stands here; no other list names it."""
 
     name: str
-    """Its name on the command line: letters, digits, `-`, `_` and `.`; `dmc:` starts DeepMind Control's."""
+    """Its name on the command line, made of letters, digits, hyphens, underscores and dots. Names of tasks of
+    DeepMind Control start with `dmc:`."""
     model: str | Path | ModelSource
     """The MJCF text, the path of an MJCF file, or the files of a model."""
     joints: tuple[str, ...]
