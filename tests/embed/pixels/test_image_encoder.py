@@ -18,6 +18,7 @@ from planspace import (
     load_image_encoder,
 )
 from planspace.cli import main
+from planspace.embed.pixels import training
 from planspace.embed.pixels.stacks import draw_stacks, stacks_of_plans
 from planspace.embed.pixels.training import init
 from planspace.errors import PlanspaceError, UsageError
@@ -55,6 +56,29 @@ def test_numpy_computes_what_was_trained() -> None:
     images = np.random.default_rng(0).integers(0, 256, (5, *TINY.pictures.stack_shape), dtype=np.uint8)
     found = np.stack([network.to_numpy()(stack) for stack in images])
     np.testing.assert_allclose(found, network(jnp.asarray(images)), atol=1e-4)
+
+
+def test_an_interrupted_training_ends_with_the_same_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 256, (48, *TINY.pictures.stack_shape), dtype=np.uint8)
+    given = (images, rng.normal(size=(48, 3)).astype(np.float32), TINY, 0)
+    monkeypatch.setattr(training, "CHUNK", 10)
+    (tmp_path / "whole").mkdir(), (tmp_path / "cut").mkdir()
+    whole = training.train_network(*given, tmp_path / "whole")
+    save = training.save_checkpoint
+
+    def save_and_stop(folder: Path, tree: object, counters: dict[str, int]) -> None:
+        save(folder, tree, counters)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "save_checkpoint", save_and_stop)
+        training.train_network(*given, tmp_path / "cut")
+    continued = training.train_network(*given, tmp_path / "cut")
+    np.testing.assert_array_equal(continued(images[0]), whole(images[0]))
+    assert (tmp_path / "cut" / "log.jsonl").read_text().count("\n") == 3
 
 
 def test_a_finished_training_is_loaded(folder: Path, encoder: ImageEncoder, demos: Demos) -> None:
