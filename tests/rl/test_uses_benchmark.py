@@ -71,3 +71,10 @@ def test_finished_units_are_kept_and_claims_follow_from_the_rows(
     assert "replaying plans helps: does not hold: 10.0" in printed  # the margin is 5 % of 1000
     uses.main(arguments)
     assert len(calls) == 6 and capsys.readouterr().out == printed[printed.index("| arm") :]
+
+
+def test_the_table_in_the_docs_follows_from_the_rows(uses: Any) -> None:
+    options = uses.options_of(["acrobot-swingup", "--steps", "30000"])
+    text = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
+    lines = [line for line in uses.table(uses.read_rows(uses.FILE), options) if line.startswith("|")]
+    assert len(lines) > 3 and [line for line in lines if line not in text] == []
