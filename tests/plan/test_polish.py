@@ -8,6 +8,8 @@ from planspace.plan import linearise
 from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig
 from planspace.plan.polish import Polish
+from planspace.plan.polish_program import Limits, LinearModel, solve_program
+from planspace.plan.trajectory import Trajectory
 from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
 from planspace.plan.sst import SST
@@ -216,3 +218,20 @@ def test_a_linear_model_without_a_solution_has_no_feedback() -> None:
     """A control without cost and effect: the equations of its gain are singular."""
     gains = linearise.tracking_gains(np.ones((3, 2, 2)), np.zeros((3, 2, 1)), np.ones(2), np.zeros(1))
     np.testing.assert_array_equal(gains, np.zeros((3, 1, 2)))
+
+
+def test_a_linear_model_that_overflows_changes_nothing() -> None:
+    """Along an unstable motion the sensitivities grow a thousandfold per step, beyond what a float holds."""
+    problem = load_problem("reacher")
+    simulator = make(problem)
+    space, count, controls = simulator.space, 120, np.zeros((120, 2))
+    sensitivities = linearise.sensitivities(np.tile(1e3 * np.eye(4), (count, 1, 1)), np.ones((count, 4, 2)))
+    assert not np.isfinite(sensitivities).all()
+    none = np.empty((count + 1, 0))
+    model = LinearModel(np.zeros((count, 2, 4)), sensitivities, none, none[..., None])
+    goal = problem.draw_goal(space, np.random.default_rng(0))
+    limits = Limits(space, goal, np.full(2, -1.0), np.full(2, 1.0))
+    plan = Trajectory(np.zeros((count + 1, 4)), controls)
+    assert solve_program(limits, plan, model, count, 1.0, effort=False) is None
+    assert solve_program(limits, plan, model, count, 1.0, effort=True) is None
+    assert solve_program(limits, plan, model, 2, 1.0, effort=False) is not None

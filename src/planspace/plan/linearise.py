@@ -72,12 +72,16 @@ def _within_limits(space: StateSpace, states: np.ndarray, nudged: np.ndarray) ->
 def sensitivities(
     a: Float[np.ndarray, "step tangent tangent"], b: Float[np.ndarray, "step tangent control"]
 ) -> Float[np.ndarray, "time tangent variable"]:
-    """Change of each state of a trajectory per change of each of its controls, laid end to end."""
+    """Change of each state of a trajectory per change of each of its controls, laid end to end.
+
+    Along an unstable motion they grow with every step and may overflow: then they are not finite.
+    """
     count, n, m = b.shape
     sensitivity = np.zeros((count + 1, n, count * m))
-    for k in range(count):
-        sensitivity[k + 1, :, : k * m] = a[k] @ sensitivity[k, :, : k * m]
-        sensitivity[k + 1, :, k * m : (k + 1) * m] = b[k]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(count):
+            sensitivity[k + 1, :, : k * m] = a[k] @ sensitivity[k, :, : k * m]
+            sensitivity[k + 1, :, k * m : (k + 1) * m] = b[k]
     return sensitivity
 
 

@@ -89,7 +89,9 @@ class _Program(NamedTuple):
     bounds: Float[np.ndarray, "variable 2"]
 
     def solve(self) -> Float[np.ndarray, " variable"] | None:
-        """The best variables, or None if the program has no solution."""
+        """The best variables, or None if the program has no solution or its linear model overflowed."""
+        if not np.isfinite(self.rows).all():
+            return None
         return linprog(self.cost, A_ub=self.rows, b_ub=self.limit, bounds=self.bounds, method="highs").x
 
     def with_rows(self, rows: np.ndarray, limit: np.ndarray) -> "_Program":
