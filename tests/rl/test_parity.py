@@ -23,7 +23,7 @@ sb3_contrib = pytest.importorskip("sb3_contrib", reason="needs the extra sb3")
 NUM, NUM_OBS = 256, 4
 PPO_TOLERANCE = 2e-6
 """Relative to 1e-3, an Adam step is g / (|g| + 1e-8): if g is almost 0, rounding decides its sign."""
-SAC_TOLERANCE = 0.01
+SAC_TOLERANCE = 0.03
 """Fraction of the largest step. Where a gradient is almost 0, rounding decides the size of Adam's step."""
 TRPO_TOLERANCE = 1e-3
 """Fraction of the largest step. With a damping of 0.1, sb3-contrib's default, the two differ by 1e-4. With
