@@ -9,11 +9,11 @@ from planspace.plan.clearance import Clearance
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig
 from planspace.plan.polish import Polish
 from planspace.plan.polish_program import Limits, LinearModel, solve_program
-from planspace.plan.trajectory import Trajectory
 from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
 from planspace.plan.sst import SST
 from planspace.plan.sst_search import SSTSearch
+from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem import Box, Goal, Problem
 from planspace.tasks.problem_file import load_problem
 
