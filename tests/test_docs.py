@@ -79,6 +79,7 @@ QUICK = ("environments.md", "howto/own-environment.md", "howto/shaping.md")
 LONG = (
     "control.md",
     "training.md",
+    "tutorial.md",
     "howto/own-objective.md",
     "howto/demonstrations.md",
     "howto/gymnasium-task.md",

@@ -8,7 +8,7 @@ import pytest
 from .calls import call
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     demos, embedding, run = tmp_path / "demos", tmp_path / "embedding", tmp_path / "run"
     plan = ["plan", "cartpole-swingup", "--num", 6, "--restarts", 1, "--workers", 1, "--out", demos]

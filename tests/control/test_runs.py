@@ -35,7 +35,7 @@ def test_a_run_continues_and_ends_like_one_that_was_not_interrupted(tmp_path: Pa
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_kill_between_the_two_datasets_stores_nothing_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,7 @@ def test_each_demonstration_is_measured_by_principal_components_of_the_others(de
     assert not {"effective_rank", "active_dims"} & set(part.intervals)
 
 
+@pytest.mark.nightly
 def test_a_trained_embedding_is_trained_again_with_its_settings(embedding: Embedding, demos: Demos) -> None:
     about = embedding.require_about()
     found, _, episodes = measure_folds(about, demos, 2)

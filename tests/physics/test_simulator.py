@@ -25,7 +25,7 @@ def test_some_released_controls_replay(released: Path, task: str, file: str) -> 
     assert_controls_replay(task, np.load(released / file), every=25)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("task", "file"), RELEASED)
 def test_all_released_controls_replay(released: Path, task: str, file: str) -> None:
     assert_controls_replay(task, np.load(released / file), every=1)

@@ -23,7 +23,7 @@ from ..conftest import QUICK_PLANNER
 UNPOLISHED = PlanConfig(restarts=1, polish=PolishConfig(max_iterations=0))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "config"),
     [("cartpole", UNPOLISHED), pytest.param("cartpole-swingup", QUICK_PLANNER, marks=pytest.mark.nightly)],

@@ -105,7 +105,7 @@ def test_states_while_holding_must_be_valid() -> None:
     assert not isinstance(replay_plan(query, brakes), Failure)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_with_hold_false_a_goal_may_be_passed_through() -> None:
     """A goal with a moving, horizontal pole cannot be held, so with `hold` no plan is accepted."""
     problem = load_problem("cartpole-swingup")

@@ -175,7 +175,7 @@ def train_embedding(demos: Demos, monkeypatch: pytest.MonkeyPatch) -> Run:
     return lambda out: fit_embedding(demos, config=config, out=out, num_seeds=2, seed=3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_embedding(train_embedding: Run, tmp_path: Path) -> None:
     tested = set(assert_exact(train_embedding, embed_training, tmp_path))
     networks = ("model", "average", "optimiser.mu", "optimiser.nu")

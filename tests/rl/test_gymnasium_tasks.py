@@ -267,7 +267,7 @@ def test_trpo_learns_to_balance_gymnasiums_pendulum() -> None:
     [
         ("shimmy", "dm_control/cartpole-swingup-v0", ("position_0", "hinge_1vel")),
         ("gymnasium_robotics", "AdroitHandDoorSparse-v1", ("obs_0", "ARTz")),
-        ("gymnasium", "Hopper-v5", ("obs_10", "rootxvel")),
+        pytest.param("gymnasium", "Hopper-v5", ("obs_10", "rootxvel"), marks=pytest.mark.nightly),
     ],
 )
 @pytest.mark.filterwarnings("default")  # the packages warn

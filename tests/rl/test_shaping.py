@@ -109,7 +109,7 @@ def test_each_seed_is_shaped_by_its_own_embedding(embedding: Embedding) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", ["trpo", "ppo"])
+@pytest.mark.parametrize("algo", ["trpo", pytest.param("ppo", marks=pytest.mark.nightly)])
 def test_shaping_changes_training_but_not_the_reported_returns(algo: str, embedding: Embedding) -> None:
     config = replace(CONFIG, algorithm=ALGORITHMS[algo])
     shaped = train_policies(TASK, config, embedding=embedding).history

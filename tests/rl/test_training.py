@@ -23,7 +23,7 @@ TASK = "cartpole-swingup"
 CONFIG = TrainConfig(num_seeds=2, steps=3 * BATCH_STEPS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_trpo_learns_to_balance() -> None:
     trained = train_policies("cartpole", TrainConfig(num_seeds=2, steps=25 * BATCH_STEPS))
     history = trained.history
@@ -98,13 +98,13 @@ def test_settings_out_of_range_are_refused(change: dict, message: str) -> None:
 
 
 QUICK_ARMS: list[dict[str, Any]] = [{"algorithm": ("trpo", "paper")}, {"obs": "trig", "z": "augment"}]
-SLOW_ARMS: list[dict[str, Any]] = [
-    {"algorithm": ("trpo", "modern")},
-    {"algorithm": ("ppo", "paper")},
-    {"algorithm": ("ppo", "modern")},
-    {"z": "replace", "z_to": "critic"},
+SLOW_ARMS: list[dict[str, Any]] = [{"algorithm": ("ppo", "modern")}, {"z": "replace", "z_to": "critic"}]
+LONG_ARMS: list[dict[str, Any]] = [{"algorithm": ("trpo", "modern")}, {"algorithm": ("ppo", "paper")}]
+ARMS = [
+    *QUICK_ARMS,
+    *(pytest.param(arm, marks=pytest.mark.slow) for arm in SLOW_ARMS),
+    *(pytest.param(arm, marks=pytest.mark.nightly) for arm in LONG_ARMS),
 ]
-ARMS = [*QUICK_ARMS, *(pytest.param(arm, marks=pytest.mark.slow) for arm in SLOW_ARMS)]
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=str)
@@ -147,7 +147,7 @@ def test_a_diverging_seed_is_frozen_and_the_others_continue(
     assert main([*arguments, "--out", str(tmp_path / "poisoned")]) == 3  # a finished run reports it again
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_seeds_take_embeddings_in_turn(embedding: Embedding, tmp_path: Path) -> None:
     other = replace(embedding, encoder=(embedding.encoder[0], [-b for b in embedding.encoder[1]]))
     assert other.hash != embedding.hash

@@ -130,7 +130,7 @@ def test_a_damaged_embedding_is_named(folder: Path) -> None:
         rebuild(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_train_continues_a_finished_run(folder: Path) -> None:
     before = stamps(folder)
     summary = run(SWING_UP, "smoke", folder, 0, train=True)

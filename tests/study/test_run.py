@@ -55,6 +55,7 @@ def test_every_unit_writes_its_result(finished: Path) -> None:
     assert kinds == {"plans", "fit", "policies"}
 
 
+@pytest.mark.nightly
 def test_finished_units_are_not_run_again_even_without_their_folders(copied: Path) -> None:
     shutil.rmtree(copied / "work")  # as if only the results were copied to this machine
     assert units_to_run(TINY, copied) == []
@@ -67,6 +68,7 @@ def test_finished_units_are_not_run_again_even_without_their_folders(copied: Pat
     assert is_done(policy(2, z=True), copied)
 
 
+@pytest.mark.nightly
 def test_an_unfinished_folder_is_completed(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     more = replace(TINY, arms=(replace(WITH_Z, units=(policy(2, z=True),)),))
@@ -169,6 +171,7 @@ def test_two_commands_cannot_use_one_folder(copied: Path) -> None:
     assert not left_behind.exists()
 
 
+@pytest.mark.nightly
 def test_a_folder_made_again_must_match_its_result(copied: Path) -> None:
     shutil.rmtree(copied / "work")
     file = result_file(PLANS, copied)
