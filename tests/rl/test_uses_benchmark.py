@@ -35,6 +35,7 @@ def test_an_algorithm_without_a_replay_buffer_has_no_arms_that_replay(uses: Any)
 def test_finished_units_are_kept_and_claims_follow_from_the_rows(
     uses: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("dm_control", reason="needs the extra robots")
     level, calls = {"none": 0.0, "resets": 300.0, "replay": 10.0}, []
 
     def run_unit(arm: str, seeds: range, options: Any) -> list[dict[str, str]]:
