@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
+from planspace.demos.resample import resample
 from planspace.embed.pixels.config import ImageFitConfig
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.pictures import PictureConfig, Pictures, stacked
@@ -63,6 +63,7 @@ def draw_stacks(
     rng, view = np.random.default_rng((seed, 0)), config.pictures
     model, space = sources[0][0].info.compile()
     simulator = Simulator(model, space, BLOCK)
+    limits = _control_limits(simulator, [demos for demos, _ in sources])
     pictures = Pictures(model, space, view)
     images = np.empty((config.stacks, *view.stack_shape), dtype=np.uint8)
     found, tries = np.empty((config.stacks, space.size)), 0
@@ -70,7 +71,7 @@ def draw_stacks(
     with progress("render", config.stacks, unit="stack") as bar:
         while num < config.stacks:
             starts = np.concatenate([_starts(s, config, rng) for _, s in sources])
-            paths, valid = _simulate(simulator, rng.permutation(starts)[:BLOCK], view, frame_s, sources, rng)
+            paths, valid = _simulate(simulator, rng.permutation(starts)[:BLOCK], view, frame_s, limits, rng)
             tries = 0 if valid.any() else tries + 1
             if tries > MOST_TRIES:
                 raise PlanspaceError("nearly all motions leave the bounds of the model: lower --noise.")
@@ -100,7 +101,8 @@ def stacks_of_plans(
     Raises:
         PlanspaceError: nothing can be drawn here.
     """
-    resampled = Demos.from_episodes(demos.info, [_resample(demos.episode(int(i)), frame_s) for i in episodes])
+    info = demos.info
+    resampled = Demos.from_episodes(info, [resample(demos.episode(int(i)), info, frame_s) for i in episodes])
     shown = resampled.render_states(None, config)
     images = np.empty((len(shown), *config.stack_shape), dtype=np.uint8)
     for first, end in zip(resampled.offsets[:-1], resampled.offsets[1:], strict=True):
@@ -118,12 +120,20 @@ def _starts(states: np.ndarray, config: ImageFitConfig, rng: np.random.Generator
     return drawn + moved[:, None] * noise
 
 
+def _control_limits(simulator: Simulator, recorded: Sequence[Demos]) -> tuple[np.ndarray, np.ndarray]:
+    """The limits of each control; where the model has none, those of the recorded controls."""
+    controls = np.concatenate([demos.controls for demos in recorded])
+    low, high = simulator.control_low, simulator.control_high
+    low = np.where(np.isfinite(low), low, controls.min(axis=0))
+    return low, np.where(np.isfinite(high), high, controls.max(axis=0))
+
+
 def _simulate(
     simulator: Simulator,
     starts: np.ndarray,
     view: PictureConfig,
     frame_s: float,
-    sources: Sequence[tuple[Demos, np.ndarray]],
+    limits: tuple[np.ndarray, np.ndarray],
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Paths [motion, frame, state] with random controls, and whether each stays within the bounds."""
@@ -133,10 +143,7 @@ def _simulate(
         raise UsageError(
             f"`frame_s` must be a multiple of the model's time step of {step:g} s, got {frame_s:g}."
         )
-    recorded = np.concatenate([demos.controls for demos, _ in sources])
-    low, high = simulator.control_low, simulator.control_high
-    low = np.where(np.isfinite(low), low, recorded.min(axis=0))
-    high = np.where(np.isfinite(high), high, recorded.max(axis=0))
+    low, high = limits
     simulator.reset(simulator.space.normalise(starts))
     path = [simulator.states()]
     valid = simulator.allowed(len(starts))
@@ -155,19 +162,3 @@ def _stack(
     if len(path) > 1 and rng.random() < config.start_fraction:
         frames = np.maximum(frames, rng.integers(1, len(path)))
     return stacked(pictures.of_states(path[frames], pictures.draw_look(rng)))
-
-
-def _resample(episode: Episode, frame_s: float) -> Episode:
-    """The states of an episode at the times of frames, interpolated linearly."""
-    times = frame_s * np.arange(int(episode.times[-1] / frame_s + STEP_TOLERANCE) + 1)
-    states = np.stack([np.interp(times, episode.times, x) for x in episode.states.T], axis=1)
-    nearest = np.clip(np.searchsorted(episode.times, times[:-1]), 0, len(episode.controls) - 1)
-    return Episode(
-        states=states,
-        controls=episode.controls[nearest],
-        times=times,
-        goal=episode.goal,
-        success=episode.success,
-        index=episode.index,
-        seed=episode.seed,
-    )
