@@ -51,13 +51,13 @@ NEEDS = {
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 
-LONG = ("Reacher-v5", "InvertedPendulum-v5", "swingup/expert-v0", "trpo", "subproc")
-"""Arguments of the longest runs."""
+LONG = ("Reacher-v5", "InvertedPendulum-v5", "swingup/expert-v0", "trpo", "subproc", "sb3_features.py")
+"""Scripts and arguments of the longest runs."""
 RUNS = [
     pytest.param(
         *case,
         id=f"{case[0]}-{case[1][0]}-{case[1][2]}",
-        marks=pytest.mark.nightly if set(case[1]) & set(LONG) else pytest.mark.slow,
+        marks=pytest.mark.nightly if {case[0], *case[1]} & set(LONG) else pytest.mark.slow,
     )
     for case in CASES
 ]

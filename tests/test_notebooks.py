@@ -18,12 +18,16 @@ SMALLER = {
     "--episode-s 4": "--episode-s 0.4",
 }
 """Budgets of the notebooks, and the smaller budgets that the tests use."""
+LONG = ("own-robot",)
+RUNS = [
+    pytest.param(file, id=file.stem, marks=pytest.mark.nightly if file.stem in LONG else pytest.mark.slow)
+    for file in NOTEBOOKS
+]
 NEEDS = {"own-data": ("stable_baselines3",)}
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the packages that talk to the kernel
-@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", RUNS)
 def test_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("ipykernel", *NEEDS.get(file.stem, ())):
         pytest.importorskip(module, reason="needs an extra")

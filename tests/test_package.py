@@ -155,7 +155,7 @@ def test_every_public_name_is_imported_on_first_use() -> None:
     assert all(f"import {name} as {name}\n" in declared for name in planspace.__all__)  # for type checkers
 
 
-@pytest.mark.parametrize("file", ["test.yml", "release.yml", "docs.yml"])
+@pytest.mark.parametrize("file", ["test.yml", "nightly.yml", "release.yml", "docs.yml"])
 def test_workflows_name_what_exists(file: str) -> None:
     """They cannot run here."""
     classified = set(re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"])))

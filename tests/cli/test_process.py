@@ -24,7 +24,7 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> 
     )
     start = f"{heed}; from planspace.cli import main; raise SystemExit(main())"
     command = [sys.executable, "-c", start, "train", "cartpole-swingup", "--seeds", "1"]
-    command += ["--steps", "400000", "--out", str(tmp_path / "run")]
+    command += ["--steps", "160000", "--out", str(tmp_path / "run")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     checkpoint = tmp_path / "run" / "checkpoint" / "state.safetensors"
     deadline = time.monotonic() + 60
@@ -35,10 +35,10 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path: Path) -> 
     assert process.returncode == 130
     assert err.strip().endswith("interrupted; the same command continues from here.")
     done = len((tmp_path / "run" / "log.jsonl").read_text().splitlines())
-    assert 10 <= done < 100
+    assert 10 <= done < 40
     assert subprocess.run(command, capture_output=True, check=False).returncode == 0
     rows = [json.loads(row) for row in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
-    assert [row["iteration"] for row in rows] == list(range(1, 101))  # none lost, none twice
+    assert [row["iteration"] for row in rows] == list(range(1, 41))  # none lost, none twice
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX pipes")

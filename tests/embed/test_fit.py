@@ -30,7 +30,7 @@ from ..conftest import QUICK_FIT
 def test_training_makes_plans_straighter_than_the_state_and_the_untrained_map(
     demos: Demos, tmp_path: Path
 ) -> None:
-    config = replace(PRESETS["modern"], steps=1500, batch=128)
+    config = replace(PRESETS["modern"], steps=600, batch=128)
     trained = fit_embedding(demos, out=tmp_path / "a", config=config, num_seeds=2).require_about()
     untrained = fit_embedding(
         demos, out=tmp_path / "b", config=replace(config, steps=1), num_seeds=2, seed=0

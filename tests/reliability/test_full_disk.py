@@ -87,8 +87,8 @@ def dataset(demo_folder: Path, tmp_path: Path) -> Path:
     "name",
     [
         "import",
-        pytest.param("plan", marks=pytest.mark.nightly),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("embed", "train")),
+        pytest.param("train", marks=pytest.mark.slow),
+        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("plan", "embed")),
     ],
 )
 def test_on_a_full_disk_nothing_is_lost(

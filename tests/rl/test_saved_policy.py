@@ -9,6 +9,7 @@ import pytest
 from planspace import load_policy
 from planspace.cli import main
 from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import training
 from planspace.rl.algorithms import find_algorithm
@@ -34,9 +35,15 @@ ARMS = {
 }
 
 
-@pytest.fixture(params=["plain", "z", *(pytest.param(x, marks=pytest.mark.slow) for x in list(ARMS)[2:])])
-def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) -> tuple[Path, list]:
+@pytest.fixture(
+    scope="module",
+    params=["plain", "z", *(pytest.param(x, marks=pytest.mark.slow) for x in list(ARMS)[2:])],
+)
+def run(
+    request: pytest.FixtureRequest, embedding_folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list]:
     """A short run and its final networks."""
+    folder = tmp_path_factory.mktemp("policies") / "run"
     config = TrainConfig(num_seeds=2, seed=4, steps=2 * BATCH_STEPS, **ARMS[request.param])
     kept, networks = [], training._networks
 
@@ -44,11 +51,11 @@ def run(request: pytest.FixtureRequest, embedding: Embedding, tmp_path: Path) ->
         kept.append(networks(*args))
         return kept[-1]
 
-    given = embedding if config.z != "none" else None
+    given = load_embedding(embedding_folder) if config.z != "none" else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "_networks", spy)
-        train_policies("cartpole-swingup", config, embedding=given, out=tmp_path / "run")
-    return tmp_path / "run", kept[-1]
+        train_policies("cartpole-swingup", config, embedding=given, out=folder)
+    return folder, kept[-1]
 
 
 def test_a_loaded_policy_acts_as_in_training(run: tuple[Path, list], rng: np.random.Generator) -> None:

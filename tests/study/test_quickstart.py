@@ -274,7 +274,12 @@ SUMMARY = RunSummary(
     seed=0,
     version="1.0",
     demos=DemosSummary(
-        count=3, fraction_near_goal=1.0, near_goal=0.5, median_end_distance=0.1, median_duration_s=1.0
+        count=3,
+        at_goal=3,
+        fraction_near_goal=1.0,
+        near_goal=0.5,
+        median_end_distance=0.1,
+        median_duration_s=1.0,
     ),
     geometry=GeometrySummary(embedding_seed=2, embedding={**METRICS, "num_demos": 1}, raw_state=METRICS),
     arms={"raw": ArmReturns(steps=8000, seeds=2, mean=2.0, worst=1.0, best=3.0, standard_deviation=1.4)},
@@ -298,7 +303,7 @@ def test_the_headline_says_what_each_reached() -> None:
 def test_the_keys_of_the_summary_file_do_not_change() -> None:
     found = as_json(SUMMARY)
     assert " ".join(found) == "control task budget seed version demos geometry arms diverged verdicts"
-    demos_keys = "count share_near_goal near_goal median_end_distance median_duration_s"
+    demos_keys = "count at_goal share_near_goal near_goal median_end_distance median_duration_s"
     assert " ".join(found["demos"]) == demos_keys
     assert " ".join(found["geometry"]) == "split embedding_seed embedding raw_state"
     control_keys = "horizon_s starts z raw difference interval"

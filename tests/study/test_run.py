@@ -109,6 +109,7 @@ def test_added_seeds_are_merged_with_the_first_ones(copied: Path) -> None:
     assert scores.seeds == (0, 1, 2)
 
 
+@pytest.mark.nightly
 def test_a_failing_unit_is_tried_twice_and_reported_and_the_others_run(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

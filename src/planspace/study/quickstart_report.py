@@ -65,7 +65,6 @@ def write_report(
         geometry_rows=GEOMETRY_ROWS,
         final_iterations=FINAL_ITERATIONS,
         smoothing=SMOOTHING,
-        units=dict(zip(demos.info.names, demos.info.units, strict=True)),
         demo_picture="data:image/png;base64," + base64.b64encode(demo_picture.read_bytes()).decode(),
         paths=_paths(demos, embedding),
         **_control(out, summary, task, demos, embedding, policies),

@@ -34,6 +34,8 @@ class DemosSummary:
 
     count: int
     """Number of demonstrations."""
+    at_goal: int
+    """Number of demonstrations that end within the problem's tolerance of their goal."""
     fraction_near_goal: float
     """Fraction of demonstrations that end within `near_goal` of the goal."""
     near_goal: float
@@ -49,6 +51,7 @@ class DemosSummary:
         distances = space.distance(demos.states[demos.offsets[1:] - 1], demos.goals)
         return cls(
             count=len(demos),
+            at_goal=int(demos.success.sum()),
             fraction_near_goal=float(np.mean(distances <= NEAR_GOAL)),
             near_goal=NEAR_GOAL,
             median_end_distance=float(np.median(distances)),
@@ -135,6 +138,7 @@ def as_json(summary: RunSummary) -> dict[str, Any]:
         "version": summary.version,
         "demos": {
             "count": demos.count,
+            "at_goal": demos.at_goal,
             "share_near_goal": demos.fraction_near_goal,
             "near_goal": demos.near_goal,
             "median_end_distance": demos.median_end_distance,

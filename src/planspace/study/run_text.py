@@ -29,8 +29,7 @@ def _head(summary: RunSummary) -> Iterator[str]:
     yield f"{summary.task}, budget {summary.budget}, seed {summary.seed}"
     yield ""
     yield (
-        f"demonstrations   {demos.count} planned, {demos.fraction_near_goal:.0%} end within "
-        f"{demos.near_goal} of the goal (median {demos.median_end_distance:.3f}), median duration "
+        f"demonstrations   {demos.count} planned, {demos.at_goal} of them end at the goal, median duration "
         f"{demos.median_duration_s:.2f} s"
     )
 
