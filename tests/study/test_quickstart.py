@@ -27,6 +27,7 @@ from planspace.study.run_summary import (
     as_json,
 )
 from planspace.study.run_text import as_text, headline
+from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
@@ -205,6 +206,11 @@ def test_a_run_goes_on_without_plans_that_were_not_found(
     monkeypatch.setattr(module, "load_demos", lambda path: load_problem("nothing"))
     with pytest.raises(PartialResult, match="1 of 12 plans"):
         run(SWING_UP, "smoke", folder, 0)
+
+
+def test_the_report_names_what_the_command_line_was_given(tmp_path: Path) -> None:
+    assert quickstart_report.given_as(find_task(SWING_UP)) == SWING_UP
+    assert quickstart_report.given_as(find_task(write_crane(tmp_path, CRANE))) == "crane.yaml"
 
 
 @pytest.mark.slow

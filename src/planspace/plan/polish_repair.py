@@ -17,7 +17,7 @@ optimisation is the idea of iDb-A* (Ortiz-Haro et al. 2023).
 """
 
 import copy
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -50,6 +50,10 @@ JUMP_S = 0.5
 SPEED = 0.5
 """Fraction of the velocity bounds at which the straight line is followed, if that takes longer."""
 
+MAX_PIVOTS = 3_000
+"""Iterations of a method for linear programs."""
+ITERATION_LIMIT = 1
+"""Status of `linprog` where the iterations did not suffice."""
 LINE_POINTS = 12
 """Points of a straight line at which overlaps are measured."""
 STRETCHES = (1.0, 2.0, 4.0, 8.0)
@@ -170,7 +174,7 @@ class Repair:
         slack = np.column_stack([np.zeros_like(most), most])
         bounds = np.concatenate([*self._bounds(guess, radius), slack])
         more = {"A_ub": above.tocsr(), "b_ub": room} if overlaps else {}
-        x = linprog(cost, A_eq=equal, b_eq=jumps, bounds=bounds, method="highs", **more).x
+        x = minimum(cost, A_eq=equal, b_eq=jumps, bounds=bounds, **more)
         if x is None:
             return None
         dx = np.concatenate([np.zeros((1, n)), x[: count * n].reshape(count, n)])
@@ -215,6 +219,20 @@ class Repair:
         values = -slopes[times, pairs]
         rows = sp.csr_matrix((values.ravel(), (number, column.ravel())), (len(times), columns))
         return rows, now.distances[times, pairs] - 2 * CLEARANCE
+
+
+def minimum(cost: np.ndarray, **program: Any) -> np.ndarray | None:
+    """The variables that minimise a linear program given as to `linprog`; None if none are found.
+
+    The simplex method is exact and quick on most programs, but on a few of long plans of arms with six or
+    seven joints it takes minutes. After MAX_PIVOTS, the interior-point method takes over, without presolve,
+    which misleads it on such programs.
+    """
+    found = linprog(cost, method="highs", options={"maxiter": MAX_PIVOTS}, **program)
+    if found.status == ITERATION_LIMIT:
+        options = {"maxiter": MAX_PIVOTS, "presolve": False}
+        found = linprog(cost, method="highs-ipm", options=options, **program)
+    return found.x if found.success else None
 
 
 def continued_to_goal(

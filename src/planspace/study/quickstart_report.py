@@ -60,6 +60,7 @@ def write_report(
         out / "report.html",
         "quickstart.html",
         summary=summary,
+        given=given_as(task),
         headline=headline(summary.control),
         cost_names=COST_NAMES,
         geometry_rows=GEOMETRY_ROWS,
@@ -70,6 +71,12 @@ def write_report(
         **_control(out, summary, task, demos, embedding, policies),
         **_curves(folder, task, policies),
     )
+
+
+def given_as(task: Task) -> str:
+    """What the command line was given: the name of the problem file, or of the task."""
+    file = Path(task.problem) if isinstance(task.problem, (str, Path)) else Path()
+    return file.name if file.suffix and file.stem == task.name else task.name
 
 
 def _control(
