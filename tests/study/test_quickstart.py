@@ -29,6 +29,8 @@ from planspace.study.run_summary import (
 from planspace.study.run_text import as_text, headline
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
+from planspace.tasks.stored_task import save_task
+from planspace.tasks.task import Task
 
 from ..conftest import QUICK_FIT, QUICK_PLANNER
 from ..tasks.test_problem_task import CRANE, RANDOM
@@ -209,8 +211,11 @@ def test_a_run_goes_on_without_plans_that_were_not_found(
 
 
 def test_the_report_names_what_the_command_line_was_given(tmp_path: Path) -> None:
-    assert quickstart_report.given_as(find_task(SWING_UP)) == SWING_UP
-    assert quickstart_report.given_as(find_task(write_crane(tmp_path, CRANE))) == "crane.yaml"
+    own = find_task(write_crane(tmp_path, CRANE))
+    assert isinstance(own, Task)
+    save_task(own, tmp_path / "run")
+    assert quickstart_report.given_as(own, tmp_path / "run") == "crane.yaml"
+    assert quickstart_report.given_as(find_task(SWING_UP), tmp_path / "other") == SWING_UP
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from planspace.study.run_control import COST_NAMES, controlled_episodes
 from planspace.study.run_policies import TRAIN, Policies, shipped_bands
 from planspace.study.run_summary import FINAL_ITERATIONS, GEOMETRY_ROWS, RunSummary
 from planspace.study.run_text import headline
+from planspace.tasks.stored_task import FOLDER
 from planspace.tasks.task import Task
 
 DRAWN = 30
@@ -60,7 +61,7 @@ def write_report(
         out / "report.html",
         "quickstart.html",
         summary=summary,
-        given=given_as(task),
+        given=given_as(task, out),
         headline=headline(summary.control),
         cost_names=COST_NAMES,
         geometry_rows=GEOMETRY_ROWS,
@@ -73,10 +74,10 @@ def write_report(
     )
 
 
-def given_as(task: Task) -> str:
-    """What the command line was given: the name of the problem file, or of the task."""
-    file = Path(task.problem) if isinstance(task.problem, (str, Path)) else Path()
-    return file.name if file.suffix and file.stem == task.name else task.name
+def given_as(task: Task, out: Path) -> str:
+    """What the command line was given: the name of the problem file that the run keeps, or of the task."""
+    kept = sorted((out / FOLDER).glob("*.yaml"))
+    return kept[0].name if kept else task.name
 
 
 def _control(
