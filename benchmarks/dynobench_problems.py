@@ -14,7 +14,7 @@ from before the model is compiled. One thread; timings made while other programs
 
 Each problem and seed is a row of results/planning/dynobench.csv. A row that the file has is not measured
 again. `--defaults` plans with the default settings of `planspace plan` instead of SETTINGS below. `--table`
-prints the tables of docs/planning.md, one for each settings.
+prints the tables of docs/appendix/planning.md, one for each settings.
 """
 
 import argparse

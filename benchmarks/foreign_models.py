@@ -9,7 +9,7 @@ Each demonstration is replayed in the model that MuJoCo compiles from the user's
 are held, in the model that the dataset holds.
 
 The results are added to results/planning/foreign_models.csv problem by problem. A problem that the file
-has is not planned for again. `--table` prints the table of docs/planning.md.
+has is not planned for again. `--table` prints the table of docs/appendix/planning.md.
 """
 
 import argparse

@@ -4,7 +4,7 @@
     planspace embed pendulum --steps 5000 --seeds 2 --out pendulum-z
     python benchmarks/true_times_table.py pendulum-z pendulum truth.npz
 
-`true_times.py` makes truth.npz. `--table` only prints the table of docs/embeddings.md.
+`true_times.py` makes truth.npz. `--table` only prints the table of docs/appendix/embeddings.md.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def add(embedding: Path, demos: Path, truth: Path, label: str) -> None:
 
 
 def table(rows: list[Row]) -> list[str]:
-    """Lines of the table of docs/embeddings.md."""
+    """Lines of the table of docs/appendix/embeddings.md."""
     lines = [HEADER, "|---|---|---|---|---|---|"]
     split = {row["problem"] for row in rows if row["subset"] != "all"}
     for row in rows:

@@ -99,3 +99,9 @@ def opengl() -> str:
     if backend is None:
         pytest.skip("no OpenGL backend works here")
     return backend
+
+
+@pytest.fixture
+def benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scripts in benchmarks/ can be imported."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")

@@ -3,10 +3,8 @@
 Timings cannot be computed again; next to them the docs name the command that measures them.
 """
 
-import csv
 import json
 import re
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -113,7 +111,7 @@ def without_figures(markdown: str) -> list[str]:
 
 def test_estimates_in_the_docs_of_studies() -> None:
     checked = 0
-    for title, text in sections("docs/studies.md", 3).items():
+    for title, text in sections("docs/appendix/studies.md", 2).items():
         known = estimates(studies_in(title, text))
         for found in ESTIMATE.finditer(text):
             assert is_known(found[0], known), f"{title}: {found[0]}"
@@ -121,17 +119,21 @@ def test_estimates_in_the_docs_of_studies() -> None:
     assert checked >= 150
 
 
-def test_estimates_in_the_readme() -> None:
-    text = sections("README.md", 2)["Results"]
+SUMMARIES = [("README.md", "Results"), ("docs/studies.md", "What the studies found")]
+
+
+@pytest.mark.parametrize(("page", "title"), SUMMARIES)
+def test_estimates_in_summaries(page: str, title: str) -> None:
+    text = sections(page, 2)[title]
     found = [match[0] for match in ESTIMATE.finditer(text)]
-    assert len(found) >= 9
+    assert len(found) >= 3
     known = estimates(STUDIES)
     assert [text for text in found if not is_known(text, known)] == []
 
 
 def test_claims_in_the_docs_have_their_number_and_verdict() -> None:
     checked = 0
-    for title, text in sections("docs/studies.md", 3).items():
+    for title, text in sections("docs/appendix/studies.md", 2).items():
         claims = {c.claim.text: c for name in studies_in(title, text) for c in summary(name).claims}
         for claim, rule, number, verdict in (row for row in table_rows(text) if len(row) == 4):
             row = claims.get(claim.removesuffix(" †"))
@@ -143,7 +145,7 @@ def test_claims_in_the_docs_have_their_number_and_verdict() -> None:
     assert checked >= 37
 
 
-@pytest.mark.parametrize(("page", "level"), [("docs/studies.md", 3), ("README.md", 2)])
+@pytest.mark.parametrize(("page", "level"), [("docs/appendix/studies.md", 2), ("README.md", 2)])
 def test_arms_in_the_docs_have_their_own_numbers(page: str, level: int) -> None:
     """Rows that begin with an arm's label: its mean, worst and best seed."""
     checked = 0
@@ -165,7 +167,7 @@ def test_arms_in_the_docs_have_their_own_numbers(page: str, level: int) -> None:
 
 @pytest.mark.parametrize("algo", ["TRPO", "PPO"])
 def test_returns_of_all_tasks(algo: str) -> None:
-    text = sections("docs/studies.md", 3)[f"Claims of the paper: {algo}, 1 M steps"]
+    text = sections("docs/appendix/studies.md", 2)[f"Claims of the paper: {algo}, 1 M steps"]
     panels = summary("paper-half").panels
     rows = [cells for cells in table_rows(text) if f"{cells[0]}, {algo}" in panels]
     assert len(rows) == 4
@@ -176,7 +178,7 @@ def test_returns_of_all_tasks(algo: str) -> None:
 
 def test_the_training_of_the_papers_embeddings() -> None:
     rows = read_rows(RESULTS / "study" / "paper-half" / "results.csv")
-    text = sections("docs/studies.md", 3)["Claims of the paper: TRPO, 1 M steps"]
+    text = sections("docs/appendix/studies.md", 2)["Claims of the paper: TRPO, 1 M steps"]
     ends = {}
     for row in rows:
         if row.metric.startswith("training_"):
@@ -194,7 +196,7 @@ def test_the_training_of_the_papers_embeddings() -> None:
 
 
 def test_the_recipes_evaluations() -> None:
-    text = sections("docs/studies.md", 3)["Recipe: reliability on the swing-up"]
+    text = sections("docs/appendix/studies.md", 2)["Recipe: reliability on the swing-up"]
     for name, label in (
         ("recipe-half", "the recipe's 75 policies after 1 M steps"),
         ("recipe-full", "after 2 M"),
@@ -209,7 +211,7 @@ def test_the_recipes_evaluations() -> None:
 
 
 def test_core_seconds_of_the_papers_study() -> None:
-    text = (ROOT / "docs" / "studies.md").read_text().replace("\n", " ")
+    text = (ROOT / "docs" / "appendix" / "studies.md").read_text().replace("\n", " ")
     for name in ("paper-half", "paper-paper"):
         assert f"{summary(name).time.timed_core_seconds:,} core seconds" in text
     rows = [
@@ -238,7 +240,7 @@ def values(rows: list[Row], arm: str, metric: str) -> np.ndarray:
 
 def test_levels_of_returns() -> None:
     rows = read_rows(RESULTS / "rl" / "levels.csv")
-    paper, modern = sections("docs/training.md", 2)["Returns"].split("`modern` preset:")
+    paper, modern = sections("docs/appendix/training.md", 2)["Returns"].split("`modern` preset:")
     checked = 0
     for text, suffix in ((paper, ""), (modern, "-modern")):
         for cells in table_rows(text):
@@ -261,14 +263,9 @@ def test_the_long_training_of_the_reacher() -> None:
     found = [
         np.mean([row.value for row in own if row.step == step]) for step in (1_440_000, 4_000_000, 8_000_000)
     ]
-    text = sections("docs/training.md", 2)["Returns"].replace("\n", " ")
+    text = sections("docs/appendix/training.md", 2)["Returns"].replace("\n", " ")
     assert "-9.9 at 1.44 M, -7.4 at 4 M and -6.6 at 8 M" in text
     assert [f"{x:.1f}" for x in found] == ["-9.9", "-7.4", "-6.6"]
-
-
-@pytest.fixture
-def benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(ROOT / "benchmarks"), *sys.path])
 
 
 @pytest.mark.usefixtures("benchmarks")
@@ -283,7 +280,7 @@ def test_tables_of_embeddings() -> None:
         if not arm.endswith("raw state")
         for cell in embedding_tables.table_row([row for row in rows if row.arm == arm])
     }
-    text = sections("docs/embeddings.md", 2)["Measurements"]
+    text = sections("docs/appendix/embeddings.md", 2)["Geometry"]
     found = [match[0] for match in WITH_SEEDS.finditer(text)]
     assert len(found) > 120 and set(found) <= known.keys()
     planned = text.partition("released in 2020")[0]  # after it, the labels are of other demonstrations
@@ -303,7 +300,7 @@ def test_table_of_candidates() -> None:
     rows = read_rows(embedding_ablation.FILE)
     names = [name for name in embedding_ablation.CANDIDATES if any(row.arm == name for row in rows)]
     lines = embedding_ablation.table(names, rows)
-    text = sections("docs/embeddings.md", 2)["Candidates"]
+    text = sections("docs/appendix/embeddings.md", 2)["Candidates"]
     shown = {cells[0]: cells for cells in table_rows(text) if cells[0] in names}
     assert len(shown) == len(names) == 38
     for cells in table_rows("\n".join(lines[2:])):
@@ -311,33 +308,6 @@ def test_table_of_candidates() -> None:
         assert of_docs[:9] == cells[:9], cells[0]
         ends = [[float(x) for x in re.findall(r"[-+]\d+", row[9])] for row in (cells, of_docs)]
         np.testing.assert_allclose(*ends, atol=BOOTSTRAP_NOISE, err_msg=cells[0])
-
-
-def test_table_of_models_that_others_wrote() -> None:
-    with open(RESULTS / "planning" / "foreign_models.csv") as file:
-        known = {row["problem"]: row for row in csv.DictReader(file)}
-    section = sections("docs/planning.md", 3)["Models that others wrote"]
-    rows = [row for row in table_rows(section) if row[0] != "problem"]
-    assert {row[0] for row in rows} == known.keys() and len(rows) >= 20
-    for name, _, settings, solved, seconds, duration, error in rows:
-        wanted = [
-            known[name][k] for k in ("settings", "solved", "seconds_per_plan", "duration_s", "replay_error")
-        ]
-        assert [settings, solved, seconds, duration, error] == wanted, name
-
-
-@pytest.mark.usefixtures("benchmarks")
-def test_table_of_dynobench() -> None:
-    import dynobench_problems as script
-
-    section = sections("docs/planning.md", 3)["Comparison with iDb-A*"]
-    tuned = [row for row in script.read_rows(script.RESULTS) if row["settings"]]
-    default = [row for row in script.read_rows(script.RESULTS) if not row["settings"]]
-    for rows in (default, tuned):
-        assert len(rows) >= 20 and [line for line in script.table(rows) if line not in section] == []
-    found, text = script.summaries(tuned).values(), section.replace("\n", " ")
-    shorter, faster = (sum(getattr(x, key) for x in found) for key in ("shorter", "faster"))
-    assert f"on {shorter} of {len(found)} problems" in text and f"recorded time on {faster}." in text
 
 
 def test_results_are_small_tables_and_the_figures_that_the_docs_show() -> None:

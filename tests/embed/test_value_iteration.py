@@ -1,6 +1,5 @@
 """The shortest times of `benchmarks/value_iteration.py`, where they are known in closed form."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,7 @@ from planspace.tasks.problem_file import load_problem
 TOLERANCE = 0.02
 CONTROLS = np.array([[-1.0], [1.0]])
 
-
-@pytest.fixture(autouse=True)
-def benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [str(Path(__file__).parents[2] / "benchmarks"), *sys.path])
+pytestmark = pytest.mark.usefixtures("benchmarks")
 
 
 def pushed(states: np.ndarray, controls: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -109,5 +105,5 @@ def test_the_table_of_the_docs_is_that_of_the_results() -> None:
     import true_times_table
 
     lines = true_times_table.table(csv_rows.read_rows(true_times_table.FILE))
-    text = (Path(__file__).parents[2] / "docs" / "embeddings.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "appendix" / "embeddings.md").read_text()
     assert len(lines) >= 10 and "\n".join(lines) in text

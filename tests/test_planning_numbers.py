@@ -1,0 +1,34 @@
+"""The tables of docs/appendix/planning.md are those of results/planning."""
+
+import csv
+
+import pytest
+
+from .test_numbers import RESULTS, sections, table_rows
+
+
+def test_table_of_models_that_others_wrote() -> None:
+    with open(RESULTS / "planning" / "foreign_models.csv") as file:
+        known = {row["problem"]: row for row in csv.DictReader(file)}
+    section = sections("docs/appendix/planning.md", 2)["Models that others wrote"]
+    rows = [row for row in table_rows(section) if row[0] != "problem"]
+    assert {row[0] for row in rows} == known.keys() and len(rows) >= 20
+    for name, _, settings, solved, seconds, duration, error in rows:
+        wanted = [
+            known[name][k] for k in ("settings", "solved", "seconds_per_plan", "duration_s", "replay_error")
+        ]
+        assert [settings, solved, seconds, duration, error] == wanted, name
+
+
+@pytest.mark.usefixtures("benchmarks")
+def test_table_of_dynobench() -> None:
+    import dynobench_problems as script
+
+    section = sections("docs/appendix/planning.md", 2)["Comparison with iDb-A*"]
+    tuned = [row for row in script.read_rows(script.RESULTS) if row["settings"]]
+    default = [row for row in script.read_rows(script.RESULTS) if not row["settings"]]
+    for rows in (default, tuned):
+        assert len(rows) >= 20 and [line for line in script.table(rows) if line not in section] == []
+    found, text = script.summaries(tuned).values(), section.replace("\n", " ")
+    shorter, faster = (sum(getattr(x, key) for x in found) for key in ("shorter", "faster"))
+    assert f"on {shorter} of {len(found)} problems" in text and f"recorded time on {faster}." in text
