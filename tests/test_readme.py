@@ -1,5 +1,6 @@
 """The README's Python blocks run, and its commands and folders exist."""
 
+import csv
 import re
 from pathlib import Path
 
@@ -47,3 +48,15 @@ def test_folder_map_is_complete() -> None:
     parts = {f"src/planspace/{p.parent.name}/" for p in package.glob("*/__init__.py")}
     parts |= {f"src/planspace/{p.name}" for p in package.glob("*.py") if not p.name.startswith("__")}
     assert parts <= set(named)
+
+
+def test_the_number_of_ten_seeds() -> None:
+    with open(README.parent / "results" / "run" / "first_number.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert sorted(int(row["seed"]) for row in rows) == [*range(10)]
+    assert all(float(row["low"]) > 0 and row["starts"] == "50" for row in rows)
+    z, raw, difference = (sorted(float(row[key]) for row in rows) for key in ("z", "raw", "difference"))
+    text = README.read_text().replace("\n", " ")
+    assert f"distance in z succeeded from {z[0]:.0f} to {z[-1]:.0f} of 50 starts" in text
+    assert f"by raw distance from {raw[0]:.0f} to {raw[-1]:.0f}; the difference was" in text
+    assert f"was {100 * difference[0]:+.0f} to {100 * difference[-1]:+.0f} percentage points" in text
