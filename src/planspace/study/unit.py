@@ -21,6 +21,8 @@ PlanSource = Literal["plan", "2020"]
 
 SECONDS_PER_PLAN = {"plan": 1.0, "2020": 4.2}
 SECONDS_PER_TRIPLET = 6e-6
+START_S = 6.0
+"""Seconds that the policies of a unit take before their first step: imports and compilation."""
 STEPS_PER_SECOND = 37_000.0
 """Rough number of environment steps that one core trains per second, for algorithms without `steps_a_second`.
 The time left is estimated from these constants until units are finished."""
@@ -119,7 +121,7 @@ class PolicyUnit(_Unit):
     def cost(self) -> float:
         """Estimated seconds on one core."""
         rate = getattr(self.config.algorithm, "steps_a_second", STEPS_PER_SECOND)
-        return self.config.steps * self.config.num_seeds / rate
+        return START_S + self.config.steps * self.config.num_seeds / rate
 
 
 Unit = PlansUnit | FitUnit | PolicyUnit
