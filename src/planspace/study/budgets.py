@@ -49,9 +49,9 @@ BUDGETS: dict[str, Budget] = {
     "smoke": Budget(
         demos=12,
         planner=PlanConfig(restarts=1),
-        fit=replace(PRESETS["modern"], steps=1_500, batch=128),
+        fit=replace(PRESETS["modern"], steps=1_000, batch=128),
         embedding_seeds=3,  # one group of seeds, so that one program is compiled
-        control=ControlBudget(starts=6, samples=64, horizons=(), horizon_starts=0),
+        control=ControlBudget(starts=4, samples=64, horizons=(), horizon_starts=0),
         seeds=5,
         steps=40_000,
     ),
