@@ -224,8 +224,8 @@ class Repair:
 def minimum(cost: np.ndarray, **program: Any) -> np.ndarray | None:
     """The variables that minimise a linear program given as to `linprog`; None if none are found.
 
-    The simplex method is exact and quick on most programs, but on a few of long plans of arms with six or
-    seven joints it takes minutes. After MAX_PIVOTS, the interior-point method takes over, without presolve,
+    The simplex method is exact and quick on most programs, but a few, of long plans of arms with six or
+    seven joints, take it minutes. After MAX_PIVOTS, the interior-point method takes over, without presolve,
     which misleads it on such programs.
     """
     found = linprog(cost, method="highs", options={"maxiter": MAX_PIVOTS}, **program)
