@@ -1,10 +1,13 @@
-"""The tables of docs/appendix/planning.md are those of results/planning."""
+"""The tables about planning and pixels in the docs are those of results/."""
 
 import csv
 
 import pytest
 
 from .test_numbers import RESULTS, sections, table_rows
+
+NOT_SHOWN = ("reads", "target", "seed", "steps", "rounds", "pictures", "demos", "episodes")
+"""Columns of results/pixels that the tables name otherwise, or not at all."""
 
 
 def test_table_of_models_that_others_wrote() -> None:
@@ -32,3 +35,16 @@ def test_table_of_dynobench() -> None:
     found, text = script.summaries(tuned).values(), section.replace("\n", " ")
     shorter, faster = (sum(getattr(x, key) for x in found) for key in ("shorter", "faster"))
     assert f"on {shorter} of {len(found)} problems" in text and f"recorded time on {faster}." in text
+
+
+def test_tables_of_pixels() -> None:
+    rows = {tuple(row) for row in table_rows((RESULTS.parent / "docs" / "pixels.md").read_text())}
+    checked = 0
+    for file in ("geometry.csv", "visited.csv"):
+        with open(RESULTS / "pixels" / file) as table:
+            for row in csv.DictReader(table):
+                reads = f"`{row['target']}`" if row["target"] else "states"
+                numbers = [x for name, x in row.items() if name not in NOT_SHOWN]
+                assert (reads, row["rounds"], row["pictures"], *numbers) in rows, row
+                checked += 1
+    assert checked >= 7
