@@ -126,7 +126,7 @@ def trained(folder: Path, config: ImageFitConfig, seed: int, rounds: int) -> Ima
     visited: list[Demos] = []
     for earlier in range(rounds):
         encoder = trained(folder, config, seed, earlier)
-        visited += visits(folder / f"{name_of(config, seed)}-visits-{earlier}", encoder, earlier)
+        visited += visits(folder, config, seed, encoder, earlier)
     out = folder / (name_of(config, seed) + (f"-after-{rounds}" if rounds else ""))
     return fit_image_encoder(
         load_demos(NAME), load_embedding(NAME), config=config, visited=visited, out=out, seed=seed
@@ -140,14 +140,17 @@ def name_of(config: ImageFitConfig, seed: int) -> str:
     return f"{config.target}-{seed}-{config.steps}-{config.stacks}{looks}"
 
 
-def visits(out: Path, encoder: ImageEncoder, rounds: int) -> list[Demos]:
+def visits(
+    folder: Path, config: ImageFitConfig, seed: int, encoder: ImageEncoder, rounds: int
+) -> list[Demos]:
     """Episodes of each policy that acts from what an encoder reads; they are played once."""
-    first = FIRST_VISIT + NUM_VISITS * rounds
+    first, found = FIRST_VISIT + NUM_VISITS * rounds, []
     for policy_seed in POLICY_SEEDS:
-        own = Path(f"{out}-{policy_seed}")
-        if not own.exists():
-            play(load_policy(NAME, policy_seed), NUM_VISITS, first, encoder=encoder)[1].save(own)
-    return [load_demos(f"{out}-{policy_seed}") for policy_seed in POLICY_SEEDS]
+        out = folder / f"{name_of(config, seed)}-visits-{rounds}-{policy_seed}"
+        if not out.exists():
+            play(load_policy(NAME, policy_seed), NUM_VISITS, first, encoder=encoder)[1].save(out)
+        found.append(load_demos(out))
+    return found
 
 
 def measure_visited(
@@ -156,9 +159,8 @@ def measure_visited(
     """Add a row for the errors of the estimated state in episodes that the encoder led."""
 
     def errors() -> Row:
-        out = folder / f"{name_of(config, int(cell['seed']))}-visits-{rounds}"
         found = []
-        for demos in visits(out, encoder, rounds):
+        for demos in visits(folder, config, int(cell["seed"]), encoder, rounds):
             every = np.arange(len(demos))
             true, stacks = stacks_of_plans(demos, every, encoder.pictures, encoder.frame_s)
             _, space = demos.info.compile()

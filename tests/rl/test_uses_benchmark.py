@@ -11,8 +11,7 @@ from planspace.rl.checks import check_uses_of_plans
 
 
 @pytest.fixture
-def uses(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+def uses(benchmarks: None) -> Any:
     return importlib.import_module("uses")
 
 
