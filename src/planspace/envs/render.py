@@ -7,8 +7,9 @@ import numpy as np
 
 from planspace.envs.batch import TaskBatch
 from planspace.errors import PlanspaceError
+from planspace.physics.pictures import PictureConfig, Pictures
 
-SIZE = (480, 640)
+SIZE = PictureConfig(width=640, height=480)
 RENDER_MODES = ("human", "rgb_array")
 
 
@@ -18,7 +19,7 @@ class Renderer:
     def __init__(self, batch: TaskBatch):
         """Remember the batch; nothing is opened before the first image."""
         self._batch = batch
-        self._offscreen: mujoco.Renderer | None = None
+        self._offscreen: Pictures | None = None
         self._window: Any = None  # mujoco.viewer's handle
         self._shown: mujoco.MjData | None = None
 
@@ -26,17 +27,13 @@ class Renderer:
         """Return an image of an episode [height, width, 3].
 
         Raises:
-            PlanspaceError: the graphics library does not work here.
+            PlanspaceError: no OpenGL backend works here; the message says what to install.
         """
+        simulator = self._batch.simulator
         if self._offscreen is None:
-            try:
-                self._offscreen = mujoco.Renderer(self._batch.simulator.model, *SIZE)
-            except Exception as error:  # any error of the graphics library
-                raise PlanspaceError(
-                    f"cannot draw images here ({error}); try MUJOCO_GL=egl, or see `planspace doctor`."
-                ) from error
-        self._offscreen.update_scene(self._batch.mujoco_data(episode), camera=0)
-        return self._offscreen.render()
+            self._offscreen = Pictures(simulator.model, simulator.space, SIZE, effects=True)
+        data = self._batch.mujoco_data(episode)
+        return np.ascontiguousarray(self._offscreen.of_pose(data.qpos, data.mocap_pos))
 
     def show(self, episode: int) -> None:
         """Show the current state of an episode in a window.

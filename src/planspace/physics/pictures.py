@@ -1,7 +1,8 @@
-"""Small pictures of a robot, for encoders: MuJoCo's renderer without what costs time and shows nothing new.
+"""Pictures of a robot: MuJoCo's renderer with an OpenGL backend that works here.
 
-Shadows, reflections, sky, fog, haze and antialiasing are off. All pictures of a process share one OpenGL
-context, because most drivers slow down or fail with many.
+For encoders, what costs time and shows nothing new is off: shadows, reflections, sky, fog, haze and
+antialiasing. All pictures of a process share one OpenGL context, because most drivers slow down or fail with
+many.
 """
 
 import atexit
@@ -80,20 +81,23 @@ class Look(NamedTuple):
 class Pictures:
     """Draws a model; a copy of it, so that changed colours do not reach the caller's model."""
 
-    def __init__(self, model: mujoco.MjModel, space: StateSpace, config: PictureConfig):
+    def __init__(
+        self, model: mujoco.MjModel, space: StateSpace, config: PictureConfig, effects: bool = False
+    ):
         """Open the renderer.
 
         Args:
             model: the compiled model.
             space: its state space.
             config: the settings.
+            effects: draw shadows, reflections, sky, fog and haze, and smooth edges, for people.
 
         Raises:
             UsageError: the model has no camera of this name.
             PlanspaceError: no OpenGL backend works here; the message says what to install.
         """
         self.config, self.space = config, space
-        self._model = _prepared(model, config)
+        self._model = _prepared(model, config, effects)
         self._data = mujoco.MjData(self._model)
         self._view = _find_view(self._model, config.camera)
         self._rgba = self._model.geom_rgba.copy(), self._model.mat_rgba.copy()
@@ -102,7 +106,7 @@ class Pictures:
         self._make_current()
         self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
         self._scene = mujoco.MjvScene(self._model, maxgeom=MOST_GEOMS)
-        for effect in OFF:
+        for effect in () if effects else OFF:
             self._scene.flags[int(getattr(mujoco.mjtRndFlag, f"mjRND_{effect}"))] = 0
         self._rect = mujoco.MjrRect(0, 0, config.width, config.height)
         self._options = mujoco.MjvOption()
@@ -190,11 +194,12 @@ def stacked(
     return np.ascontiguousarray(moved.reshape(*moved.shape[:-2], -1))
 
 
-def _prepared(model: mujoco.MjModel, config: PictureConfig) -> mujoco.MjModel:
+def _prepared(model: mujoco.MjModel, config: PictureConfig, effects: bool) -> mujoco.MjModel:
     model = copy.copy(model)
     model.vis.global_.offwidth, model.vis.global_.offheight = config.width, config.height
-    model.vis.quality.offsamples = 0
-    model.vis.quality.shadowsize = 0
+    if not effects:
+        model.vis.quality.offsamples = 0
+        model.vis.quality.shadowsize = 0
     return model
 
 
