@@ -16,7 +16,7 @@ first = env.render()
 for _ in range(20):
     env.step(env.action_space.high)
 second = env.render()
-print(first.shape, first.dtype, first.flags.c_contiguous, bool(first.std() > 1), bool((first != second).any()))
+print(first.shape, first.dtype, first.flags.c_contiguous, first.std() > 1, (first != second).any())
 """
 
 
