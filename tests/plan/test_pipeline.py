@@ -8,6 +8,7 @@ import pytest
 
 from planspace.demos.dataset import Demos
 from planspace.demos.describe import replay_errors
+from planspace.plan import pipeline as module
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import state_info
 from planspace.plan.pipeline import Pipeline
@@ -21,12 +22,8 @@ SLOW = {
     "arm",
     "arm-kinematic",
     "quadrotor",
-    "pusher",
-    "finger-spin",
 }
-
-
-NIGHTLY = ("hopper-stand", "cheetah-ahead")
+NIGHTLY = ("hopper-stand", "cheetah-ahead", "finger-spin", "pusher")
 
 
 def marked(name: str) -> Any:
@@ -55,6 +52,30 @@ def test_the_acrobot_is_solved() -> None:
     problem = load_problem("acrobot")
     config = PlanConfig.for_problem(problem, restarts=1, polish_max_iterations=20)
     assert not isinstance(Pipeline(problem, config).plan(0, 0), Failure)
+
+
+@pytest.mark.slow
+def test_of_many_searches_the_two_shortest_paths_are_polished(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = load_problem("pendulum")
+    pipeline = Pipeline(problem, PlanConfig.for_problem(problem, restarts=5, polish_max_iterations=3))
+    found, polished, search, prove = [], [], module.search, pipeline._prove
+
+    def searching(*given: Any) -> Any:
+        found.append(search(*given))
+        return found[-1]
+
+    def proving(query: Any, path: Any, rng: Any) -> Any:
+        polished.append(path)
+        return prove(query, path, rng)
+
+    monkeypatch.setattr(module, "search", searching)
+    monkeypatch.setattr(pipeline, "_prove", proving)
+    plan = pipeline.plan(0, 0)
+    lengths = [len(path.controls) for path in found]
+    assert len(set(lengths)) > 2, "the searches should differ"
+    assert [len(path.controls) for path in polished] == sorted(lengths)[:2]
+    assert not isinstance(plan, Failure)
+    assert len(plan.controls) <= min(lengths)
 
 
 @pytest.mark.nightly

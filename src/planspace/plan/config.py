@@ -102,7 +102,8 @@ class PlanConfig:
         int | None,
         arg(metavar="INT", help_behavior_hint=lambda given: f"(default: {given})" if given != "None" else ""),
     ] = None
-    """Independent searches per plan. The best plan is kept. By default 2 for sst and 1 for others."""
+    """Independent searches per plan. The two shortest paths are polished, and the better plan is kept. More
+    searches find shorter plans. By default 2 for sst and 1 for others."""
     polish: PolishConfig = field(default_factory=PolishConfig)
     """Shortens a plan and lands it on its goal."""
     regulator: RegulatorConfig = field(default_factory=RegulatorConfig)
