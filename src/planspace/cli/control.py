@@ -53,7 +53,7 @@ class Control:
     """The run's folder. The same command continues an interrupted run; a larger --episodes adds to it."""
     pixels: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
     """An encoder of `planspace pixels`. The controller then sees pictures only: it looks ahead from the state
-    that the encoder estimates. --embedding is its teacher by default."""
+    that the encoder estimates and a Kalman filter joins. --embedding is its teacher by default."""
     episodes: Annotated[int, arg(metavar="N")] = 10
     """Number of episodes."""
     episode_s: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: the task's)")] = None

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.control.controller import Controller
+from planspace.control.plant import Plant
+from planspace.control.state_filter import StateFilter
 from planspace.embed.pixels.sight import Sight
 
 LAST_S = 1.0
@@ -66,20 +68,22 @@ def run_episode(
         seed: seed of starts, goals and samples.
         index: number of the episode.
         num_steps: control steps; by default the task's horizon.
-        sight: estimates the state that the controller sees from pictures; None shows it the true state.
+        sight: estimates the state from pictures; the controller sees the estimates, filtered if their errors
+            are known. None shows it the true state.
     """
     plant = controller.plant
     task = plant.task
     starts, targets = task.sample_starts(1, np.random.default_rng((seed, index)))
     controller.reset((seed, index, 1), targets[0])
-    if sight is not None:
-        sight.restart(np.random.default_rng((seed, index, 2)))
+    eyes = None if sight is None else _FilteredSight(plant, sight, np.random.default_rng((seed, index, 2)))
     simulator = plant.simulator(1)
     simulator.reset(starts)
     states, controls, rewards, regulated, seconds = [starts[0]], [], [], [], []
     for _ in range(num_steps or task.horizon):
         began = time.perf_counter()
-        control = controller(states[-1] if sight is None else sight.see(states[-1])[1])
+        control = controller(states[-1] if eyes is None else eyes.see(states[-1]))
+        if eyes is not None:
+            eyes.applied(control)
         seconds.append(time.perf_counter() - began)
         simulator.step(control[None], task.frame_skip)
         if simulator.diverged()[0]:
@@ -103,3 +107,22 @@ def run_episode(
         goal=plant.goal(targets[0]).center,
         step=plant.control_step,
     )
+
+
+class _FilteredSight:
+    """What the controller sees in one episode from pictures."""
+
+    def __init__(self, plant: Plant, sight: Sight, rng: np.random.Generator):
+        self._sight = sight
+        self._filter = None if sight.state_error is None else StateFilter(plant, sight.state_error)
+        sight.restart(rng)
+
+    def see(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " state"]:
+        """Draw the present state, and return the estimate of it."""
+        estimate = self._sight.see(state)[1]
+        return estimate if self._filter is None else self._filter(estimate)
+
+    def applied(self, control: Float[np.ndarray, " control"]) -> None:
+        """Take note of the control that is applied."""
+        if self._filter is not None:
+            self._filter.predict(control)

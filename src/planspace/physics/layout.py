@@ -61,6 +61,22 @@ def euclidean_features(
     return np.stack(parts, axis=-1)
 
 
+def tangent_errors(
+    layout: Sequence[Part], errors: Float[np.ndarray, " state"]
+) -> Float[np.ndarray, " tangent"]:
+    """Return root-mean-square errors of the numbers of a state as those of a tangent.
+
+    The error of a rotation is twice that of its quaternion, and is divided among three axes.
+    """
+    found = []
+    for s, _, kind in layout:
+        if kind == "rotation":
+            found += 3 * [2.0 * np.linalg.norm(errors[s : s + 4]) / np.sqrt(3.0)]
+        else:
+            found.append(errors[s])
+    return np.array(found)
+
+
 def mirrored_features(
     layout: Sequence[Part], features: Float[np.ndarray, "*batch feature"]
 ) -> list[Float[np.ndarray, "*batch feature"]]:

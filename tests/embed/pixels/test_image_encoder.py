@@ -94,6 +94,19 @@ def test_a_finished_training_is_loaded(folder: Path, encoder: ImageEncoder, demo
         fit_image_encoder(demos, encoder.teacher, config=replace(TINY, steps=31), out=folder)
 
 
+def test_the_error_of_its_states_is_kept(encoder: ImageEncoder, demos: Demos, tmp_path: Path) -> None:
+    _, stacks = stacks_of_plans(demos, np.arange(len(demos)), TINY.pictures, encoder.frame_s)
+    error = np.sqrt(((encoder.states(stacks.images) - stacks.states) ** 2).mean(axis=0))
+    assert encoder.state_error is not None
+    assert (np.abs(np.log(encoder.state_error / error)) < np.log(3)).all()
+    old = replace(encoder, state_error=None)  # as in version 0.2.0
+    old.save(tmp_path / "old")
+    assert load_image_encoder(tmp_path / "old").state_error is None
+    replace(encoder, state_error=np.ones(3)).save(tmp_path / "wrong")
+    with pytest.raises(PlanspaceError, match="the errors of its states are wrong"):
+        load_image_encoder(tmp_path / "wrong")
+
+
 def test_stacks_end_in_their_states(opengl: str, demos: Demos) -> None:
     """Stacks of motions and of plans show the same as `render_states`; a plan's first picture repeats."""
     plans, stacks = stacks_of_plans(demos, np.array([1]), TINY.pictures, 0.04)

@@ -39,6 +39,9 @@ class ImageEncoder:
     """Time between two frames of a stack [s]."""
     appearance: Appearance
     """The looks of the training pictures."""
+    state_error: Float[np.ndarray, " state"] | None = None
+    """Root-mean-square error of each number of the estimated state, on stacks that were not used in training;
+    None for encoders of version 0.2.0."""
     about: dict[str, Any] = field(default_factory=dict)
     """Settings, seed, held-out metrics and versions."""
 

@@ -2,11 +2,12 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
@@ -20,6 +21,7 @@ from planspace.embed.pixels.stacks import Stacks, default_frame_s, draw_stacks
 from planspace.embed.pixels.training import train_network
 from planspace.embed.saved_embedding import CARD
 from planspace.errors import UsageError
+from planspace.physics.angles import wrap
 from planspace.progress import progress_shown
 from planspace.seams import plain_settings
 from planspace.storage.files import write_bytes
@@ -27,6 +29,10 @@ from planspace.storage.provenance import Provenance
 from planspace.storage.runs import lock_folder, open_run
 
 LEAST_STD = 1e-6
+NUM_HELD_OUT = 512
+"""Stacks on which the error of the estimated state is measured."""
+HELD_OUT_STREAM = 1
+"""Number of the random stream of these stacks."""
 
 
 def fit_image_encoder(
@@ -117,7 +123,7 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
 def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> ImageEncoder:
     demos, teacher, config = request.demos, request.teacher, request.config
     split = request.split
-    stacks = draw_stacks(_sources(request), config, request.frame_s, request.seed)
+    stacks = draw_stacks(_sources(request, "train"), config, request.frame_s, request.seed)
     targets = _targets(request, stacks)
     mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), LEAST_STD)
     scaled = ((targets - mean) / std).astype(np.float32)
@@ -138,19 +144,31 @@ def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> I
         "metrics": found.summary(),
         "versions": Provenance.current("mujoco", "jax").plain(),
     }
-    encoder = ImageEncoder(**{**vars(encoder), "about": about})
+    encoder = replace(encoder, about=about, state_error=_state_error(request, encoder))
     write_bytes(out / CARD, image_card(encoder).encode())
     encoder.save(out)
     return encoder
 
 
-def _sources(request: _Request) -> list[tuple[Demos, np.ndarray]]:
+def _sources(request: _Request, part: str) -> list[tuple[Demos, np.ndarray]]:
     """The states that stacks start from: of plans, of search trees if they were kept, and visited ones."""
-    demos, train = request.demos, request.split["train"]
-    sources = [(demos, demos.states[demos.rows(train)])]
+    demos, plans = request.demos, request.split[part]
+    sources = [(demos, demos.states[demos.rows(plans)])]
     if demos.trees:
-        sources.append((demos, np.concatenate([demos.trees[int(i)].states for i in train])))
+        sources.append((demos, np.concatenate([demos.trees[int(i)].states for i in plans])))
     return sources + [(other, other.states) for other in request.visited]
+
+
+def _state_error(request: _Request, encoder: ImageEncoder) -> Float[np.ndarray, " state"]:
+    """Root-mean-square error of the estimated state on stacks of held-out plans and of visited states."""
+    names, inputs = request.demos.info.names, request.teacher.inputs
+    config = replace(request.config, stacks=NUM_HELD_OUT)
+    stacks = draw_stacks(_sources(request, "test"), config, request.frame_s, request.seed, HELD_OUT_STREAM)
+    true = stacks.states[:, list(request.teacher.columns_of(names))]
+    error = encoder.states(stacks.images) - true
+    circular = list(inputs.circular_columns)
+    error[:, circular] = wrap(error[:, circular])
+    return np.maximum(np.sqrt((error**2).mean(axis=0)), LEAST_STD)
 
 
 def _targets(request: _Request, stacks: Stacks) -> np.ndarray:

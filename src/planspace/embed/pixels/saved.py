@@ -105,6 +105,7 @@ def _assemble(path: Path, text: dict[str, Any]) -> ImageEncoder:
         appearance=Appearance(
             arrays["looks.mean"], arrays["looks.components"], float(text["appearance_limit"])
         ),
+        state_error=arrays.get("state_error"),
         about=dict(text["about"]),
     )
 
@@ -123,6 +124,9 @@ def _check(encoder: ImageEncoder, text: dict[str, Any]) -> None:
     z, state = encoder.encode(black), encoder.states(black)
     if z.shape != (encoder.z_dim,) or state.shape != (encoder.teacher.state_dim,):
         raise ValueError("the sizes of its network do not match its teacher")
+    error = encoder.state_error
+    if error is not None and (error.shape != state.shape or not (error > 0).all()):
+        raise ValueError("the errors of its states are wrong")
     if not np.isfinite([*z, *state, encoder.distance(black)]).all():
         raise ValueError("it gives numbers that are not finite")
 
@@ -131,6 +135,8 @@ def _arrays(encoder: ImageEncoder) -> Arrays:
     looks = encoder.appearance
     arrays = {"mean": encoder.mean, "std": encoder.std}
     arrays |= {"looks.mean": looks.mean, "looks.components": looks.components}
+    if encoder.state_error is not None:
+        arrays["state_error"] = encoder.state_error
     for name, layers in (("kernel", encoder.network.kernels), ("dense", encoder.network.dense)):
         for i, (weight, bias) in enumerate(layers):
             arrays |= {f"{name}.{i}.weight": weight, f"{name}.{i}.bias": bias}

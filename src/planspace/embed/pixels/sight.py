@@ -42,6 +42,12 @@ class Sight:
         self._frames: UInt8[np.ndarray, "frame height width 3"] | None = None
         self._look: Look | None = None
 
+    @property
+    def state_error(self) -> Float[np.ndarray, " state"] | None:
+        """Root-mean-square error of each number of the estimated state, if it is known."""
+        error = self.encoder.state_error
+        return None if error is None else error[self._order]
+
     def restart(self, rng: np.random.Generator) -> None:
         """Begin an episode; the first picture will fill the whole stack.
 

@@ -44,6 +44,7 @@ def draw_stacks(
     config: ImageFitConfig,
     frame_s: float,
     seed: int,
+    stream: int = 0,
 ) -> Stacks:
     """Simulate short motions from drawn states, and draw them.
 
@@ -55,12 +56,13 @@ def draw_stacks(
         config: the settings.
         frame_s: time between two frames [s].
         seed: seed of everything that is drawn.
+        stream: stacks of another stream are drawn independently with the same seed.
 
     Raises:
         UsageError: `frame_s` is not a multiple of the model's time step.
         PlanspaceError: nearly all motions leave the model's bounds, or nothing can be drawn here.
     """
-    rng, view = np.random.default_rng((seed, 0)), config.pictures
+    rng, view = np.random.default_rng((seed, stream)), config.pictures
     model, space = sources[0][0].info.compile()
     simulator = Simulator(model, space, BLOCK)
     limits = _control_limits(simulator, [demos for demos, _ in sources])
