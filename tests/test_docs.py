@@ -84,6 +84,8 @@ LONG = (
     "howto/demonstrations.md",
     "howto/gymnasium-task.md",
     "howto/python-api.md",
+    "howto/own-planner.md",
+    "environments.md",
 )
 """Pages that run for more than half a minute and whose commands other tests run, too."""
 RUNNING = [

@@ -23,7 +23,7 @@ CONFIG = replace(PRESETS["modern"], steps=100, batch=32, hidden=(16, 16))
 PAGE = r"[Ss]ee docs/howto/own-objective.md\."
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_function_with_the_loss_of_a_shipped_objective_gives_the_same_embedding(demos: Demos) -> None:
     ours = fit_embedding(demos, "direct", config=CONFIG, num_seeds=2, verbose=False)
     own = fit_embedding(demos, midpoint_loss, config=CONFIG, num_seeds=2, verbose=False)
@@ -54,7 +54,7 @@ def test_a_class_draws_its_samples_and_its_settings_and_terms_are_recorded(
     assert load_embedding(tmp_path / "3.0").hash == wide.hash
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_changed_setting_of_an_own_objective_is_refused(demos: Demos, tmp_path: Path) -> None:
     fit_embedding(demos, Contrast(), config=replace(CONFIG, steps=5), out=tmp_path / "e", num_seeds=1)
     with pytest.raises(PlanspaceError, match=r"fit.objective.margin was 3.0, now 2.0"):

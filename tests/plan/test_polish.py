@@ -116,7 +116,7 @@ def test_a_plan_that_misses_its_goal_is_corrected() -> None:
     assert controls is not None and goal.reached(rolled(simulator, start, controls)[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_long_plans_are_polished_in_blocks() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])
@@ -193,7 +193,7 @@ def test_a_path_that_stops_before_a_box_is_repaired_around_it() -> None:
     assert 58 <= len(found[1]) <= 68
 
 
-@pytest.mark.parametrize("name", ["arm", "quadrotor"])
+@pytest.mark.parametrize("name", ["arm", pytest.param("quadrotor", marks=pytest.mark.nightly)])
 @pytest.mark.slow
 def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str) -> None:
     problem = load_problem(name)

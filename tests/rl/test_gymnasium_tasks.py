@@ -265,7 +265,12 @@ def test_trpo_learns_to_balance_gymnasiums_pendulum() -> None:
 @pytest.mark.parametrize(
     ("module", "env_id", "names"),
     [
-        ("shimmy", "dm_control/cartpole-swingup-v0", ("position_0", "hinge_1vel")),
+        pytest.param(
+            "shimmy",
+            "dm_control/cartpole-swingup-v0",
+            ("position_0", "hinge_1vel"),
+            marks=pytest.mark.nightly,
+        ),
         ("gymnasium_robotics", "AdroitHandDoorSparse-v1", ("obs_0", "ARTz")),
         pytest.param("gymnasium", "Hopper-v5", ("obs_10", "rootxvel"), marks=pytest.mark.nightly),
     ],

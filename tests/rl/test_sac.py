@@ -48,7 +48,7 @@ def after_one_iteration(arm: Arm, settings: SAC, change: Any = lambda rollout: N
     return rollout, *settings.update(arm, state, rollout, key=jr.key(1))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_resumed_run_and_a_single_seed_are_exact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = replace(MODERN, replay_size=700)  # 1200 steps: the oldest are replaced
     config = TrainConfig(settings, num_seeds=3, steps=1200, batch_steps=400, eval_every=1)

@@ -194,7 +194,7 @@ def test_policies_of_a_problem_file_are_played(
     assert "was trained on another version of the task 'crane'" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_goes_on_without_plans_that_were_not_found(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

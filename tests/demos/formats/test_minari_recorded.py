@@ -106,6 +106,7 @@ def test_error_says_how_to_record_missing_states(minari) -> None:
         load_demos(f"minari:{NAME}")
 
 
+@pytest.mark.nightly
 def test_embed_a_recorded_task(minari, tmp_path: Path, capsys) -> None:
     from planspace import load_embedding
     from planspace.cli import main
