@@ -9,7 +9,8 @@ without z), and a network with random weights of which only the last layer is tr
 
 - geometry.csv has the metrics of z from pictures on the held-out plans, beside those of z from states,
 - returns.csv has the returns of the ready-made policies (three seeds), and of control by distance in z, if
-  they see the true state, or only what an encoder reads from pictures,
+  they see the true state, or only what an encoder reads from pictures. Rows of control without `kalman` were
+  measured before there was a filter,
 - visited.csv has the errors of the estimated state (root of the mean square) in episodes of the ready-made
   policies that act from what the encoder reads, from starts that no other table uses,
 - speed.csv has pictures and stacks a second, in one process on one core, and in two on two (Linux only).
@@ -76,6 +77,7 @@ RETURNS = (
     "steps",
     "rounds",
     "pictures",
+    "filter",
     "policy_seed",
     "episodes",
     "return_mean",
@@ -194,15 +196,16 @@ def measure_returns(encoder: ImageEncoder, cell: Row, folder: Path, episodes: in
     for reads, eyes in ((cell["target"], encoder), ("states", None)):
         own = named if eyes else dict.fromkeys(named, "") | {"episodes": str(episodes)}
         for policy_seed in POLICY_SEEDS:
-            key = {"acts": "policy", "reads": reads, "policy_seed": str(policy_seed), **own}
+            key = {"acts": "policy", "reads": reads, "filter": "", "policy_seed": str(policy_seed), **own}
 
             def of_policy(policy_seed: int = policy_seed, eyes: ImageEncoder | None = eyes) -> Row:
                 returns, _ = play(load_policy(NAME, policy_seed), episodes, FIRST_START, encoder=eyes)
                 return {"return_mean": f"{returns.mean():.1f}", "return_worst": f"{returns.min():.1f}"}
 
             add("returns.csv", RETURNS, key, of_policy)
-        key = {"acts": "control", "reads": reads, "policy_seed": "", **own}
-        out = folder / "-".join(("control", reads, *own.values())).replace(" ", "-")
+        joined = "kalman" if eyes else ""
+        key = {"acts": "control", "reads": reads, "filter": joined, "policy_seed": "", **own}
+        out = folder / "-".join(("control", reads, joined, *own.values())).replace(" ", "-")
 
         def of_control(out: Path = out, eyes: ImageEncoder | None = eyes) -> Row:
             plant = Plant.find(NAME)

@@ -255,7 +255,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             key = (options.task, options.algo, unit_name(options), arm, str(start))
             if any(tuple(row[n] for n in (*COLUMNS[:4], "seed")) == key for row in rows):
                 continue
-            write_rows(options.file, COLUMNS, rows + run_unit(arm, seeds, options))
+            found = run_unit(arm, seeds, options)
+            write_rows(options.file, COLUMNS, read_rows(options.file) + found)  # other arms may have been added
             print(f"{arm}: seeds {seeds[0]} to {seeds[-1]} done", flush=True)
     print("\n".join(table(read_rows(options.file), options)))
 
