@@ -256,7 +256,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if any(tuple(row[n] for n in (*COLUMNS[:4], "seed")) == key for row in rows):
                 continue
             found = run_unit(arm, seeds, options)
-            write_rows(options.file, COLUMNS, read_rows(options.file) + found)  # other arms may have been added
+            write_rows(
+                options.file, COLUMNS, read_rows(options.file) + found
+            )  # other arms may have been added
             print(f"{arm}: seeds {seeds[0]} to {seeds[-1]} done", flush=True)
     print("\n".join(table(read_rows(options.file), options)))
 
