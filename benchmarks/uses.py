@@ -94,7 +94,8 @@ def unit_name(options: argparse.Namespace) -> str:
     """Text for everything but arm and seeds that a result depends on."""
     hidden = "x".join(map(str, options.hidden)) or "default"
     repeat = f", action repeat {options.action_repeat}" if options.action_repeat > 1 else ""
-    return f"{options.preset}, hidden {hidden}, {options.steps} steps{repeat}"
+    reward = f", {options.reward} reward" if options.reward != "dense" else ""
+    return f"{options.preset}, hidden {hidden}, {options.steps} steps{repeat}{reward}"
 
 
 def settings_of(use: Use, options: argparse.Namespace, seed: int, num: int) -> TrainConfig:
@@ -112,6 +113,7 @@ def settings_of(use: Use, options: argparse.Namespace, seed: int, num: int) -> T
         seed=seed,
         num_seeds=num,
         action_repeat=options.action_repeat,
+        reward=options.reward,
     )
     return replace(config, **use.settings, eval_every=max(1, config.iterations // EVALUATIONS))
 
@@ -227,6 +229,7 @@ def options_of(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--hidden", type=int, nargs="*", default=[64, 64], help="units of the hidden layers")
     parser.add_argument("--steps", type=int, default=100_000, help="environment steps per seed")
     parser.add_argument("--action-repeat", type=int, default=1)
+    parser.add_argument("--reward", default="dense", choices=("dense", "sparse"))
     parser.add_argument("--seeds", type=int, default=5, help="seeds of each arm")
     parser.add_argument("--block", type=int, default=5, help="seeds of a unit")
     parser.add_argument("--choose", action="store_true", help="run seeds on which settings may be chosen")

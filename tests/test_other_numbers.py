@@ -48,3 +48,30 @@ def test_tables_of_pixels() -> None:
                 assert (reads, row["rounds"], row["pictures"], *numbers) in rows, row
                 checked += 1
     assert checked >= 7
+
+
+def test_plans_carried_out() -> None:
+    with open(RESULTS / "control" / "plan_returns.csv") as file:
+        found = list(csv.DictReader(file))
+    rows = {tuple(row) for row in table_rows((RESULTS.parent / "docs" / "control.md").read_text())}
+    for row in found:
+        held = f"{float(row['held']):.0%}"
+        spread = f"{row['return_worst']}, {row['return_best']}"
+        assert ("plans and regulator", row["return_mean"], spread, held) in rows
+    assert found
+
+
+def test_returns_from_pixels() -> None:
+    """A row of the table holds three policies and the controller, each of which may be missing."""
+    rows = {tuple(row) for row in table_rows((RESULTS.parent / "docs" / "pixels.md").read_text())}
+    with open(RESULTS / "pixels" / "returns.csv") as file:
+        found = list(csv.DictReader(file))
+    for row in found:
+        reads = f"`{row['reads']}`" if row["rounds"] else "states"
+        shown = [r for r in rows if r[:3] == (reads, row["rounds"], row["pictures"]) and len(r) == 10]
+        if row["acts"] == "policy":
+            assert any(r[3 + int(row["policy_seed"])] == row["return_mean"] for r in shown), row
+        else:
+            columns = slice(8, 10) if row["filter"] else slice(6, 8)
+            assert any(list(r[columns]) == [row["return_mean"], row["success"]] for r in shown), row
+    assert len(found) >= 20

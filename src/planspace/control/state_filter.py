@@ -7,7 +7,7 @@ from planspace.control.plant import Plant
 from planspace.physics.layout import tangent_errors
 from planspace.plan.linearise import along, step_all
 
-MODEL_ERROR = 0.1
+MODEL_ERROR = 0.03
 """Error of the prediction of one control step, as a fraction of the error of the estimate."""
 
 
