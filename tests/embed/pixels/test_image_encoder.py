@@ -99,7 +99,7 @@ def test_the_error_of_its_states_is_kept(encoder: ImageEncoder, demos: Demos, tm
     error = np.sqrt(((encoder.states(stacks.images) - stacks.states) ** 2).mean(axis=0))
     assert encoder.state_error is not None
     assert (np.abs(np.log(encoder.state_error / error)) < np.log(3)).all()
-    old = replace(encoder, state_error=None)  # as in version 0.2.0
+    old = replace(encoder, state_error=None)
     old.save(tmp_path / "old")
     assert load_image_encoder(tmp_path / "old").state_error is None
     replace(encoder, state_error=np.ones(3)).save(tmp_path / "wrong")

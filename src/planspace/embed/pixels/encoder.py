@@ -41,7 +41,7 @@ class ImageEncoder:
     """The looks of the training pictures."""
     state_error: Float[np.ndarray, " state"] | None = None
     """Root-mean-square error of each number of the estimated state, on stacks that were not used in training;
-    None for encoders of version 0.2.0."""
+    None for an encoder that was saved without."""
     about: dict[str, Any] = field(default_factory=dict)
     """Settings, seed, held-out metrics and versions."""
 
