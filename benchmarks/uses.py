@@ -192,6 +192,12 @@ def last_evaluation(scores: Scores) -> Scores:
     return replace(scores, steps=scores.steps[-1:], returns=scores.returns[-1:])
 
 
+def range_of_returns(options: argparse.Namespace) -> tuple[float, float]:
+    """The lowest and the highest return; the sparse reward is at most 1 for each step."""
+    task = find_task(options.task)
+    return (0.0, task.horizon) if options.reward == "sparse" else task.return_range or DMC_RANGE
+
+
 def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
     """The last evaluation of each arm, and the verdicts of claims, as lines of Markdown."""
     chosen = [
@@ -208,7 +214,7 @@ def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
         last = scores.returns[-1]
         numbers = f"{float(iqm(last)):.1f} ({last.min():.1f}, {last.max():.1f})"
         lines += [f"| {arm} | {len(scores.seeds)} | {numbers} | {scores.returns.mean():.1f} |"]
-    margin = MARGIN * float(np.diff(find_task(options.task).return_range or DMC_RANGE)[0])
+    margin = MARGIN * float(np.diff(range_of_returns(options))[0])
     for text, arm, other in CLAIMS:
         if {arm, other} <= set(found):
             last, base = (last_evaluation(found[name]) for name in (arm, other))

@@ -20,7 +20,7 @@ from planspace.study.tidy import Row, read_rows
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 STUDIES = sorted(path.parent.name for path in (RESULTS / "study").glob("*/study.json"))
-MOST_BYTES = 4_000_000
+MOST_BYTES = 5_000_000
 NUMBER = r"-?\d[\d,]*(?:\.\d+)?"
 ESTIMATE = re.compile(rf"({NUMBER}) \((-?\d[\d.]*), (-?\d[\d.]*)\)")
 WITH_SEEDS = re.compile(r"(-?\d+\.\d+) \((-?\d+\.\d+) ± (\d+\.\d+)\)")

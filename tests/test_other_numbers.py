@@ -75,3 +75,28 @@ def test_returns_from_pixels() -> None:
             columns = slice(8, 10) if row["filter"] else slice(6, 8)
             assert any(list(r[columns]) == [row["return_mean"], row["success"]] for r in shown), row
     assert len(found) >= 20
+
+
+@pytest.mark.usefixtures("benchmarks")
+def test_table_of_ways_to_use_plans() -> None:
+    import uses
+
+    section = (RESULTS.parent / "docs" / "training.md").read_text().partition("### Which way helps")[2]
+    options = uses.options_of(["cartpole-swingup", "--reward", "sparse", "--steps", "30000"])
+    rows = uses.read_rows(uses.FILE)
+    found = uses.table(rows, options)
+    assert len(found) > 12
+    assert [line for line in found if line not in section] == []
+    at_half = {
+        arm: [
+            float(row["eval_return"])
+            for row in rows
+            if (row["arm"], row["step"], row["settings"]) == (arm, "15000", uses.unit_name(options))
+        ]
+        for arm in ("none", "replay")
+    }
+    assert len(at_half["none"]) == len(at_half["replay"]) == 10
+    least, most = min(at_half["replay"]), max(at_half["none"])
+    for page in ("README.md", "docs/faq.md", "docs/training.md"):
+        text = (RESULTS.parent / page).read_text()
+        assert f" {least:.0f} " in text and f" {most:.0f}" in text

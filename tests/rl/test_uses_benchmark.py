@@ -73,8 +73,26 @@ def test_finished_units_are_kept_and_claims_follow_from_the_rows(
     assert len(calls) == 6 and capsys.readouterr().out == printed[printed.index("| arm") :]
 
 
-def test_the_table_in_the_docs_follows_from_the_rows(uses: Any) -> None:
-    options = uses.options_of(["acrobot-swingup", "--steps", "30000"])
+@pytest.mark.parametrize(
+    ("arguments", "shown"),
+    [
+        (("acrobot-swingup", "--steps", "100000"), "`acrobot-swingup` | SAC | 100,000"),
+        (("acrobot-swingup", "--algo", "trpo", "--steps", "1000000"), "`acrobot-swingup` | TRPO | 1,000,000"),
+        (
+            ("dmc:acrobot-swingup", "--steps", "200000", "--action-repeat", "2"),
+            "`dmc:acrobot-swingup` | SAC | 200,000",
+        ),
+    ],
+)
+def test_the_table_of_acrobots_in_the_docs_follows_from_the_rows(
+    uses: Any, arguments: tuple[str, ...], shown: str
+) -> None:
+    if arguments[0].startswith("dmc:"):
+        pytest.importorskip("dm_control", reason="needs the extra robots")
     text = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
-    lines = [line for line in uses.table(uses.read_rows(uses.FILE), options) if line.startswith("|")]
-    assert len(lines) > 3 and [line for line in lines if line not in text] == []
+    in_docs = [line for line in text.splitlines() if line.startswith(f"| {shown} |")]
+    found = uses.table(uses.read_rows(uses.FILE), uses.options_of(arguments))
+    cells = [line.strip("|").split("|")[:3] for line in found if line.startswith("| ")][1:]
+    assert len(cells) == len(in_docs)
+    for arm, seeds, last in cells:
+        assert any(line.endswith(f"|{arm}|{seeds}|{last}|") for line in in_docs), arm
