@@ -19,7 +19,7 @@ class Run:
 
     task: Positional[Annotated[str, arg(metavar="TASK", help=TASK_HELP)]] = "cartpole-swingup"
     budget: Literal["smoke", "small", "full"] = "small"
-    """smoke: under a minute, to see that it works. small: six minutes, a first result. full: 300
+    """smoke: under a minute, to see that it works. small: six to eight minutes, a first result. full: 300
     demonstrations, 200 starts, and with --train 15 policies of 2 M steps for each arm."""
     train: bool = False
     """Also train policies with and without z. Added to the command of a finished run, it continues the
