@@ -25,11 +25,9 @@ FILE = Path(__file__).parent.parent / "results" / "control" / "plan_returns.csv"
 COLUMNS = ("task", "plans", "hash", "return_mean", "return_worst", "return_best", "held", "duration_s")
 
 
-def carry_out(plant: Plant, plan: Episode) -> tuple[float, bool]:
+def carry_out(plant: Plant, regulator: Regulator, plan: Episode) -> tuple[float, bool]:
     """The return of one plan, and whether the goal is held for the last second."""
-    task, simulator = plant.task, plant.simulator(1)
-    goal, target = plant.goal(np.empty(0)), np.empty((1, 0))
-    regulator = Regulator(plant.simulator(1), goal, plant.problem.weights(plant.space), RegulatorConfig())
+    task, simulator, target = plant.task, plant.simulator(1), np.empty((1, 0))
     state, total, at_goal = plan.states[:1], 0.0, []
     simulator.reset(state)
     for step in range(task.horizon):
@@ -54,7 +52,9 @@ def main() -> None:
     options = parser.parse_args()
     plant, demos = Plant.find(options.task), load_demos(options.plans)
     plans = [demos.episode(i) for i in range(len(demos))]
-    found = [carry_out(plant, plan) for plan in plans]
+    weights, goal = plant.problem.weights(plant.space), plant.goal(np.empty(0))
+    regulator = Regulator(plant.simulator(1), goal, weights, RegulatorConfig())
+    found = [carry_out(plant, regulator, plan) for plan in plans]
     returns = np.array([total for total, _ in found])
     row: Row = {
         "task": options.task,

@@ -265,9 +265,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if any(tuple(row[n] for n in (*COLUMNS[:4], "seed")) == key for row in rows):
                 continue
             found = run_unit(arm, seeds, options)
-            write_rows(
-                options.file, COLUMNS, read_rows(options.file) + found
-            )  # other arms may have been added
+            rows = read_rows(options.file)  # again, because other arms may have been added
+            write_rows(options.file, COLUMNS, rows + found)
             print(f"{arm}: seeds {seeds[0]} to {seeds[-1]} done", flush=True)
     print("\n".join(table(read_rows(options.file), options)))
 

@@ -204,11 +204,9 @@ class Pipeline:
 
     def _path_cost(self, found: Plan | Failure) -> float:
         """The cost of a path before it is polished; a path that does not arrive comes last."""
-        if isinstance(found, Failure):
-            return np.inf
-        return float(self.problem.step_cost(self.simulator, found.controls).sum())
+        return np.inf if isinstance(found, Failure) else self._cost(found)
 
-    def _cost(self, plan: Trajectory) -> float:
+    def _cost(self, plan: Plan | Trajectory) -> float:
         return float(self.problem.step_cost(self.simulator, plan.controls).sum())
 
 
