@@ -21,9 +21,8 @@ SLOW = {
     "acrobot",
     "arm",
     "arm-kinematic",
-    "quadrotor",
 }
-NIGHTLY = ("hopper-stand", "cheetah-ahead", "finger-spin", "pusher")
+NIGHTLY = ("hopper-stand", "cheetah-ahead", "finger-spin", "pusher", "quadrotor")
 
 
 def marked(name: str) -> Any:

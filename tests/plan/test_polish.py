@@ -105,7 +105,7 @@ def test_effort_is_reduced_at_the_same_duration() -> None:
     assert np.abs(controls).sum() < 0.7 * np.abs(wandering).sum()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # a path that is too short, below, is corrected alike
 def test_a_plan_that_misses_its_goal_is_corrected() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])

@@ -137,7 +137,9 @@ with WorkerPool(2) as pool:
 
 @pytest.mark.slow
 @needs_posix
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly)]
+)
 def test_an_interrupt_keeps_finished_plans_and_the_same_command_continues(
     problem: str, tmp_path: Path, number: int, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ from planspace.tasks.task import Task, never
 ARMS = [
     ("trpo", "paper"),
     pytest.param("trpo", "modern", marks=pytest.mark.nightly),
-    pytest.param("ppo", "paper", marks=pytest.mark.slow),
+    pytest.param("ppo", "paper", marks=pytest.mark.nightly),
     ("ppo", "modern"),
 ]
 LONG_ARMS = [pytest.param("trpo", "paper", marks=pytest.mark.slow), *ARMS[1:]]

@@ -37,7 +37,7 @@ ARMS = {
 
 @pytest.fixture(
     scope="module",
-    params=["plain", "z", *(pytest.param(x, marks=pytest.mark.slow) for x in list(ARMS)[2:])],
+    params=["plain", "z", *(pytest.param(x, marks=pytest.mark.nightly) for x in list(ARMS)[2:])],
 )
 def run(
     request: pytest.FixtureRequest, embedding_folder: Path, tmp_path_factory: pytest.TempPathFactory
