@@ -5,6 +5,12 @@
 Plans, embeddings and policies are made in the folder, with the defaults of `planspace plan`, `embed` and
 `train` except for what `ARTEFACTS` says, and the same command goes on after an interrupt. What loading needs
 is then copied to src/planspace/ready, with the SHA-256 of every file in SHA256SUMS.
+
+    python benchmarks/make_artefacts.py runs/artefacts --control
+
+controls 20 starts of each task with its embedding, at the default settings of `planspace control`, by
+distance in z and, if the embedding has it, by time to go. results/control/ready_made.csv has the fraction of
+starts from which the robot is at the goal for the whole last second.
 """
 
 import argparse
@@ -13,15 +19,22 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from csv_rows import read_rows, write_rows
+
+from planspace.control.config import ControlConfig
+from planspace.control.plant import Plant
+from planspace.control.runs import control_into
 from planspace.embed.config import TimeHeadConfig
 from planspace.embed.fit import fit_embedding
 from planspace.embed.saved_embedding import load_embedding
+from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_demos
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
 from planspace.rl.training import train_policies
 from planspace.storage.compiled import use_compilation_cache
 from planspace.storage.ready_made import EMBEDDING, HASHES, PLANS, POLICY, READY
+from planspace.tasks.problem_file import load_problem
 
 FILES = {
     PLANS: ("manifest.json", "shard-*.safetensors"),
@@ -29,6 +42,8 @@ FILES = {
     POLICY: ("policies.json", "policies.safetensors"),
 }
 """The files of each part that are copied; logs and checkpoints are not."""
+CONTROLLED = Path(__file__).parents[1] / "results" / "control" / "ready_made.csv"
+COLUMNS, NUM_STARTS = ("task", "cost", "embedding", "success"), 20
 TIME_HEAD = TimeHeadConfig(hidden=(64, 64), features=64)
 """Smaller than the default, for the size of the package."""
 
@@ -39,8 +54,12 @@ class Artefact:
 
     problem: str
     num_plans: int
+    """Plans that are brought along."""
+    num_training: int = 0
+    """Plans with search trees, too large to bring along, that the embedding learns from. It has then not seen
+    those that are brought along. 0: it learns from those."""
     time_head: bool = False
-    """Whether the embedding estimates the time to go. Few plans suffice for that only in few dimensions."""
+    """Whether the embedding estimates the time to go. Without search trees, that needs few dimensions."""
     seeds: int = 1
     """Number of seeds of the embedding, of which the best is kept, and of the policy."""
     policy_steps: int = 0
@@ -52,9 +71,9 @@ ARTEFACTS = {
     "pendulum-swingup": Artefact("pendulum", 20, time_head=True),
     "quadrotor-planar": Artefact("quadrotor-planar", 20, time_head=True),
     "reacher": Artefact("reacher", 20),
-    "quadrotor": Artefact("quadrotor", 15),
-    "ball-pendulum": Artefact("ball-pendulum", 15),
-    "acrobot-swingup": Artefact("acrobot", 10),
+    "quadrotor": Artefact("quadrotor", 15, num_training=60),
+    "ball-pendulum": Artefact("ball-pendulum", 15, num_training=60, time_head=True),
+    "acrobot-swingup": Artefact("acrobot", 10, num_training=60, time_head=True),
     "arm": Artefact("arm", 10),
 }
 
@@ -66,8 +85,12 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path, help="where plans, embeddings and policies are made")
     parser.add_argument("--only", nargs="+", default=list(ARTEFACTS), choices=ARTEFACTS, metavar="NAME")
+    parser.add_argument("--control", action="store_true", help="control with what the package brings")
     options = parser.parse_args()
     use_compilation_cache()
+    if options.control:
+        control(options.only, options.folder)
+        return
     for name in options.only:
         make(name, options.folder / name)
         copy(options.folder / name, READY / name)
@@ -79,9 +102,13 @@ def main() -> None:
 def make(name: str, folder: Path) -> None:
     """Plan, embed and train."""
     artefact = ARTEFACTS[name]
-    demos = plan_demos(artefact.problem, artefact.num_plans, out=folder / PLANS)
+    seed = 1 if artefact.num_training else 0
+    learned = plan_demos(artefact.problem, artefact.num_plans, seed=seed, out=folder / PLANS)
+    if artefact.num_training:
+        config = PlanConfig.for_problem(load_problem(artefact.problem), keep_trees=True)
+        learned = plan_demos(artefact.problem, artefact.num_training, config=config, out=folder / "training")
     embedding = fit_embedding(
-        demos,
+        learned,
         out=folder / EMBEDDING,
         num_seeds=artefact.seeds,
         time_head=TIME_HEAD if artefact.time_head else False,
@@ -119,6 +146,28 @@ def write_hashes() -> None:
         for file in files
     ]
     HASHES.write_text("".join(lines))
+
+
+def control(names: list[str], folder: Path) -> None:
+    """Control with the ready-made embeddings, and add what the results do not have yet."""
+    for name in names:
+        embedding = load_embedding(name)
+        for cost in ("z", "time") if embedding.time_head else ("z",):
+            key = {"task": name, "cost": cost, "embedding": embedding.hash[:12]}
+            rows = read_rows(CONTROLLED)
+            if any(key.items() <= row.items() for row in rows):
+                continue
+            found = control_into(
+                Plant.find(name),
+                embedding,
+                ControlConfig(cost="time" if cost == "time" else "z"),
+                folder / f"control-{name}-{cost}-{key['embedding']}",
+                num=NUM_STARTS,
+                seed=0,
+            )
+            kept = [row for row in rows if (row["task"], row["cost"]) != (name, cost)]
+            write_rows(CONTROLLED, COLUMNS, [*kept, key | {"success": f"{found.success:.2f}"}])
+            print(name, cost, f"{found.success:.0%}", flush=True)
 
 
 def size(folder: Path) -> int:

@@ -48,6 +48,21 @@ def test_the_seed_decides_the_samples_and_threads_do_not() -> None:
     assert [one(HANGING) for _ in range(3)] != first
 
 
+def test_a_control_is_held_for_several_steps_whose_rewards_are_summed() -> None:
+    controller = Controller("pendulum-swingup", config=replace(BY_REWARD, action_repeat=5))
+    task = TASKS["pendulum-swingup"]
+    assert controller.plant.control_step == pytest.approx(5 * Plant.find(task).control_step)
+    episode = run_episode(controller, 0, 0, num_steps=4)
+    env = make_env(task)
+    env.reset(seed=0, options={"state": episode.states[0]})
+    for i, control in enumerate(episode.controls):
+        steps = [env.step(control) for _ in range(5)]
+        assert episode.rewards[i] == pytest.approx(sum(float(reward) for _, reward, *_ in steps))
+        np.testing.assert_array_equal(steps[-1][4]["state"], episode.states[i + 1])
+    with pytest.raises(UsageError, match="--action-repeat 7 must divide the 200 steps of pendulum-swingup"):
+        Controller("pendulum-swingup", config=replace(BY_REWARD, action_repeat=7))
+
+
 def test_in_a_gymnasium_environment_it_does_the_same(embedding: Embedding) -> None:
     controller = Controller("cartpole-swingup", embedding, ControlConfig(samples=16))
     episode = run_episode(controller, 0, 0, num_steps=8)

@@ -21,19 +21,20 @@ def test_every_file_has_the_listed_hash_and_all_are_small() -> None:
     files = [file for file in READY.rglob("*") if file.is_file() and file != HASHES]
     found = {f.relative_to(READY).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
     assert found == listed and ready_names(PLANS) == NAMES
-    assert sum(file.stat().st_size for file in files) < 1.5 * 2**20
+    assert sum(file.stat().st_size for file in files) < 2 * 2**20
     assert all((READY / name / EMBEDDING / "README.md").is_file() for name in NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_artefact_loads_and_its_plans_are_those_of_its_embedding(name: str) -> None:
+def test_an_artefact_loads_and_its_embedding_fits_its_plans(name: str) -> None:
     demos, embedding = ps.load_demos(name), ps.load_embedding(name)
     about = embedding.require_about()
-    assert about.settings.demos == demos.hash and about.problem == demos.info.problem
+    assert about.problem == demos.info.problem
     assert demos.success.all() and embedding.outside_support(demos.states).mean() < 0.1
     assert about.metrics["test"]["time_correlation"] > 0.9
     if embedding.time_head is not None:
-        plan = demos.episode(int(about.split["test"][0]))  # which the embedding has not seen
+        learned = about.settings.demos == demos.hash  # otherwise it has seen none of the plans
+        plan = demos.episode(int(about.split["test"][0]) if learned else 0)
         to_go = embedding.time_to_go(plan.states, np.broadcast_to(plan.states[-1], plan.states.shape))
         assert np.corrcoef(to_go, plan.times[-1] - plan.times)[0, 1] > 0.8
 

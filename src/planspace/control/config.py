@@ -7,7 +7,7 @@ from planspace.control.method import PAGE, Method
 from planspace.control.methods import MPPI
 from planspace.control.splines import SplineOrder
 from planspace.errors import check_setting
-from planspace.seams import check_fits
+from planspace.seams import check_fits, unset_if
 
 CostName = Literal["z", "time", "reward", "raw"]
 """What a controller minimises: the distance to the goal in z, the time to it, minus the task's reward, or the
@@ -22,6 +22,8 @@ class ControlConfig:
     """How sampled controls become better ones."""
     horizon_s: float = 0.32
     """How far it looks ahead [s], rounded to control steps."""
+    action_repeat: int = field(default=1, metadata=unset_if(1))
+    """Steps of the task for which each control is held; their rewards are summed."""
     samples: int = 256
     """Candidates in each round."""
     cost: CostName = "z"
@@ -58,7 +60,7 @@ class ControlConfig:
         """
         check_fits(self.method, Method, PAGE)
         check_setting("horizon_s", self.horizon_s, self.horizon_s > 0, "above 0")
-        for name in ("samples", "knots", "cost_points"):
+        for name in ("samples", "knots", "cost_points", "action_repeat"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
         check_setting("noise", self.noise, self.noise > 0, "above 0")
         for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):

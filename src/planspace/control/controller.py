@@ -44,8 +44,8 @@ class Controller:
         Raises:
             UsageError: problem, embedding and settings do not fit together.
         """
-        self.plant = Plant.find(problem)
         self.config = config or ControlConfig()
+        self.plant = Plant.find(problem).repeating(self.config.action_repeat)
         self.embedding = embedding
         self._simulator = self.plant.simulator(self.config.samples, threads)
         low, high = self._simulator.control_low, self._simulator.control_high
@@ -135,7 +135,7 @@ class Controller:
         simulator.reset(states[:, 0])
         invalid = np.zeros(samples)
         for step in range(self.num_steps):
-            simulator.step(controls[:, step], self.plant.task.frame_skip)
+            simulator.step(controls[:, step], self.plant.physics_steps)
             states[:, step + 1] = simulator.states()
             invalid += ~simulator.allowed(samples)
         diverged = simulator.diverged()

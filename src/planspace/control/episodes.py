@@ -10,6 +10,8 @@ from planspace.control.controller import Controller
 from planspace.control.plant import Plant
 from planspace.control.state_filter import StateFilter
 from planspace.embed.pixels.sight import Sight
+from planspace.physics.simulator import Simulator
+from planspace.tasks.task import Task
 
 LAST_S = 1.0
 """An episode succeeds if every state of the last second is at the goal [s]."""
@@ -85,16 +87,15 @@ def run_episode(
         if eyes is not None:
             eyes.applied(control)
         seconds.append(time.perf_counter() - began)
-        simulator.step(control[None], task.frame_skip)
+        after, reward, terminated = _hold(simulator, task, states[-1], control, targets)
         if simulator.diverged()[0]:
             seconds.pop()
             break
-        after = simulator.states()
-        rewards.append(task.reward(states[-1][None], after, control[None], targets)[0])
+        rewards.append(reward)
         regulated.append(controller.regulated)
         controls.append(control)
-        states.append(after[0])
-        if task.terminated(after)[0]:
+        states.append(after)
+        if terminated:
             break
     path = np.stack(states)
     return ControlledEpisode(
@@ -107,6 +108,25 @@ def run_episode(
         goal=plant.goal(targets[0]).center,
         step=plant.control_step,
     )
+
+
+def _hold(
+    simulator: Simulator,
+    task: Task,
+    before: Float[np.ndarray, " state"],
+    control: Float[np.ndarray, " control"],
+    targets: Float[np.ndarray, "1 target"],
+) -> tuple[Float[np.ndarray, " state"], float, bool]:
+    """Hold a control for one control step: the state after it, the rewards, and whether the task ended."""
+    total, now = 0.0, before[None]
+    for _ in range(task.action_repeat):
+        simulator.step(control[None], task.frame_skip)
+        after = simulator.states()
+        total += float(task.reward(now, after, control[None], targets)[0])
+        if task.terminated(after)[0]:
+            return after[0], total, True
+        now = after
+    return now[0], total, False
 
 
 class _FilteredSight:

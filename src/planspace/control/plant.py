@@ -1,6 +1,6 @@
 """What is controlled: a task, and the goal that its planning problem gives it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.linearise import at_rest
+from planspace.tasks.action_repeat import repeat_actions
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Goal, Problem
 from planspace.tasks.problem_file import load_problem
@@ -73,7 +74,22 @@ class Plant:
     @property
     def control_step(self) -> float:
         """Time for which a control is held [s]."""
-        return self.task.frame_skip * float(self.model.opt.timestep)
+        return self.physics_steps * float(self.model.opt.timestep)
+
+    @property
+    def physics_steps(self) -> int:
+        """Physics steps for which a control is held."""
+        return self.task.action_repeat * self.task.frame_skip
+
+    def repeating(self, num: int) -> "Plant":
+        """The plant with each control held for `num` steps of its task.
+
+        Raises:
+            UsageError: the number does not divide the steps of an episode.
+        """
+        task = repeat_actions(self.task, num)
+        assert isinstance(task, Task)
+        return self if task == self.task else replace(self, task=task)
 
     def simulator(self, num: int, threads: int = 1) -> Simulator:
         """Return simulations of the plant.

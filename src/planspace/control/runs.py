@@ -94,6 +94,7 @@ def control_into(  # noqa: PLR0913
         UsageError: plant, embedding and settings do not fit together.
         PlanspaceError: the folder cannot be written or was made with other settings.
     """
+    plant = plant.repeating(config.action_repeat)
     steps = plant.task.horizon if episode_s is None else max(1, round(episode_s / plant.control_step))
     info = StateInfo.of_model(
         plant.model,

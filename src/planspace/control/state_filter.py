@@ -25,8 +25,8 @@ class StateFilter:
             plant: what is controlled.
             errors: root-mean-square error of each number of an estimate.
         """
-        space, frame_skip = plant.space, plant.task.frame_skip
-        self._space, self._num_steps = space, frame_skip
+        space = plant.space
+        self._space, self._num_steps = space, plant.physics_steps
         self._simulator = plant.simulator(2 * (space.tangent_size + plant.model.nu))
         self._measured = np.diag(tangent_errors(space.layout, errors) ** 2)
         self._state: np.ndarray | None = None
