@@ -8,9 +8,10 @@ is then copied to src/planspace/ready, with the SHA-256 of every file in SHA256S
 
     python benchmarks/make_artefacts.py runs/artefacts --control
 
-controls 20 starts of each task with its embedding, at the default settings of `planspace control`, by
-distance in z and, if the embedding has it, by time to go. results/control/ready_made.csv has the fraction of
-starts from which the robot is at the goal for the whole last second.
+controls 20 starts of each task with its embedding, at the default settings of `planspace control` (the
+acrobot with 0.64 s of foresight), by distance in z and, if the embedding has it, by time to go. Episodes last
+as long as in `control.py`. results/control/ready_made.csv has the fraction of starts from which the robot is
+at the goal for the whole last second.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from pathlib import Path
 
 from csv_rows import read_rows, write_rows
 
+from control import PROBLEMS
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
 from planspace.control.runs import control_into
@@ -43,9 +45,11 @@ FILES = {
 }
 """The files of each part that are copied; logs and checkpoints are not."""
 CONTROLLED = Path(__file__).parents[1] / "results" / "control" / "ready_made.csv"
+HORIZON_S = {"acrobot-swingup": 0.64}
+"""Foresight of control, where it is not the default [s]."""
 COLUMNS, NUM_STARTS = ("task", "cost", "embedding", "success"), 20
-TIME_HEAD = TimeHeadConfig(hidden=(64, 64), features=64)
-"""Smaller than the default, for the size of the package."""
+SMALL = TimeHeadConfig(hidden=(64, 64), features=64)
+"""For few plans in few dimensions, and for the size of the package."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,8 @@ class Artefact:
     num_training: int = 0
     """Plans with search trees, too large to bring along, that the embedding learns from. It has then not seen
     those that are brought along. 0: it learns from those."""
-    time_head: bool = False
-    """Whether the embedding estimates the time to go. Without search trees, that needs few dimensions."""
+    time_head: TimeHeadConfig | None = None
+    """What estimates the time to go; None for nothing. Without search trees, that needs few dimensions."""
     seeds: int = 1
     """Number of seeds of the embedding, of which the best is kept, and of the policy."""
     policy_steps: int = 0
@@ -67,13 +71,13 @@ class Artefact:
 
 
 ARTEFACTS = {
-    "cartpole-swingup": Artefact("cartpole-swingup", 40, time_head=True, seeds=3, policy_steps=600_000),
-    "pendulum-swingup": Artefact("pendulum", 20, time_head=True),
-    "quadrotor-planar": Artefact("quadrotor-planar", 20, time_head=True),
+    "cartpole-swingup": Artefact("cartpole-swingup", 40, time_head=SMALL, seeds=3, policy_steps=600_000),
+    "pendulum-swingup": Artefact("pendulum", 20, time_head=SMALL),
+    "quadrotor-planar": Artefact("quadrotor-planar", 20, time_head=SMALL),
     "reacher": Artefact("reacher", 20),
     "quadrotor": Artefact("quadrotor", 15, num_training=60),
-    "ball-pendulum": Artefact("ball-pendulum", 15, num_training=60, time_head=True),
-    "acrobot-swingup": Artefact("acrobot", 10, num_training=60, time_head=True),
+    "ball-pendulum": Artefact("ball-pendulum", 15, num_training=60, time_head=TimeHeadConfig(), seeds=5),
+    "acrobot-swingup": Artefact("acrobot", 10, num_training=60, time_head=TimeHeadConfig(), seeds=5),
     "arm": Artefact("arm", 10),
 }
 
@@ -111,7 +115,7 @@ def make(name: str, folder: Path) -> None:
         learned,
         out=folder / EMBEDDING,
         num_seeds=artefact.seeds,
-        time_head=TIME_HEAD if artefact.time_head else False,
+        time_head=artefact.time_head or False,
     )
     if artefact.policy_steps:
         config = TrainConfig(
@@ -160,10 +164,11 @@ def control(names: list[str], folder: Path) -> None:
             found = control_into(
                 Plant.find(name),
                 embedding,
-                ControlConfig(cost="time" if cost == "time" else "z"),
+                ControlConfig(cost="time" if cost == "time" else "z", horizon_s=HORIZON_S.get(name, 0.32)),
                 folder / f"control-{name}-{cost}-{key['embedding']}",
                 num=NUM_STARTS,
                 seed=0,
+                episode_s=PROBLEMS[name],
             )
             kept = [row for row in rows if (row["task"], row["cost"]) != (name, cost)]
             write_rows(CONTROLLED, COLUMNS, [*kept, key | {"success": f"{found.success:.2f}"}])

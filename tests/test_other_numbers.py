@@ -1,8 +1,11 @@
 """The tables about planning and pixels in the docs are those of results/."""
 
 import csv
+import importlib
 
 import pytest
+
+from planspace import load_embedding
 
 from .test_numbers import RESULTS, sections, table_rows
 
@@ -100,3 +103,30 @@ def test_table_of_ways_to_use_plans() -> None:
     for page in ("README.md", "docs/faq.md", "docs/training.md"):
         text = (RESULTS.parent / page).read_text()
         assert f" {least:.0f} " in text and f" {most:.0f}" in text
+
+
+@pytest.mark.usefixtures("benchmarks")
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [
+        ("control_ilqr", "control.md"),
+        ("goals", "training.md"),
+    ],
+)
+def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
+    script = importlib.import_module(name)
+    lines = script.table(script.read_rows(script.RESULTS)).splitlines()
+    text = (RESULTS.parent / "docs" / page).read_text()
+    assert len(lines) > 5
+    assert [line for line in lines if line not in text] == []
+
+
+def test_control_with_ready_made_embeddings() -> None:
+    text = (RESULTS.parent / "docs" / "howto" / "ready-made.md").read_text()
+    shown = {row[0].strip("`"): dict(zip(("z", "time"), row[3:5], strict=True)) for row in table_rows(text)}
+    with open(RESULTS / "control" / "ready_made.csv") as file:
+        found = list(csv.DictReader(file))
+    assert len(found) > 5
+    for row in found:
+        assert shown[row["task"]][row["cost"]] == f"{float(row['success']):.0%}", row
+        assert load_embedding(row["task"]).hash.startswith(row["embedding"])

@@ -21,7 +21,7 @@ def test_every_file_has_the_listed_hash_and_all_are_small() -> None:
     files = [file for file in READY.rglob("*") if file.is_file() and file != HASHES]
     found = {f.relative_to(READY).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
     assert found == listed and ready_names(PLANS) == NAMES
-    assert sum(file.stat().st_size for file in files) < 2 * 2**20
+    assert sum(file.stat().st_size for file in files) < 2.5 * 2**20
     assert all((READY / name / EMBEDDING / "README.md").is_file() for name in NAMES)
 
 

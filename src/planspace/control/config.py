@@ -6,7 +6,7 @@ from typing import Literal
 from planspace.control.method import PAGE, Method
 from planspace.control.methods import MPPI
 from planspace.control.splines import SplineOrder
-from planspace.errors import check_setting
+from planspace.errors import UsageError, check_setting
 from planspace.seams import check_fits, unset_if
 
 CostName = Literal["z", "time", "reward", "raw"]
@@ -44,6 +44,9 @@ class ControlConfig:
     """States of the horizon in which distances are measured, evenly spaced; the last is its end."""
     terminal_weight: float = 2.5
     """Weight of the distance at the end of the horizon, relative to the mean distance along it."""
+    ilqr_rounds: int = field(default=0, metadata=unset_if(0))
+    """Rounds of iLQR that refine the controls after the samples, for a cost that is a distance. It pays with
+    few samples (docs/control.md)."""
     effort_weight: float = 0.01
     """Cost of the largest control along the whole horizon, relative to the mean distance from where
     episodes start."""
@@ -63,5 +66,8 @@ class ControlConfig:
         for name in ("samples", "knots", "cost_points", "action_repeat"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
         check_setting("noise", self.noise, self.noise > 0, "above 0")
+        check_setting("ilqr_rounds", self.ilqr_rounds, self.ilqr_rounds >= 0, "at least 0")
+        if self.ilqr_rounds and self.cost == "reward":
+            raise UsageError("ilqr_rounds needs a cost that is a distance: z, time or raw.")
         for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")

@@ -1,13 +1,15 @@
 """The controller: looks ahead from the present state by simulation, and acts by the best it finds."""
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from planspace.control.config import ControlConfig
-from planspace.control.costs import Cost, make_cost, support_note
+from planspace.control.costs import Cost, DistanceCost, make_cost, support_note
+from planspace.control.ilqr import NUM_POLICIES, policies
 from planspace.control.plant import Plant
 from planspace.control.splines import spline_matrix
 from planspace.control.takeover import Takeover
@@ -15,6 +17,9 @@ from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
 from planspace.tasks.problem import Problem
 from planspace.tasks.task import Task
+
+Act = Callable[[int, np.ndarray], np.ndarray]
+"""(step, states [sample, state] after the steps before it) to controls [sample, control]."""
 
 
 class Controller:
@@ -47,7 +52,8 @@ class Controller:
         self.config = config or ControlConfig()
         self.plant = Plant.find(problem).repeating(self.config.action_repeat)
         self.embedding = embedding
-        self._simulator = self.plant.simulator(self.config.samples, threads)
+        num = max(self.config.samples, NUM_POLICIES) if self.config.ilqr_rounds else self.config.samples
+        self._simulator = self.plant.simulator(num, threads)
         low, high = self._simulator.control_low, self._simulator.control_high
         if not (np.isfinite(low) & np.isfinite(high)).all():
             raise UsageError(
@@ -89,10 +95,16 @@ class Controller:
         mean, std = self._mean, np.full_like(self._mean, self.config.noise)
         for _ in range(getattr(self.config.method, "iterations", 1)):
             candidates = self._candidates(mean, std)
-            costs = self._costs(state, self._controls(candidates))
+            controls = self._controls(candidates)
+            costs = self._simulate(state, lambda step, _, u=controls: u[:, step], len(candidates))[2]
             mean, std = self.config.method.improve(std, candidates, costs)
+        controls = self._controls(mean[None])[0]
+        for _ in range(self.config.ilqr_rounds):
+            controls = self._refined(state, controls)
+        if self.config.ilqr_rounds:
+            mean = self._knots @ ((controls - self._middle) / self._half)
         self._mean = self._shift @ mean
-        return self._controls(mean[None])[0, 0]
+        return controls[0]
 
     def _make_splines(self) -> None:
         """Compute what turns knots into controls, and shifts knots by a control step."""
@@ -106,6 +118,7 @@ class Controller:
         last = (self.num_steps - 1) * step
         times = step * np.arange(self.num_steps)
         self._spline = spline_matrix(times, last, config.knots, config.spline)
+        self._knots = np.linalg.pinv(self._spline)
         moved = np.linspace(0.0, last, config.knots) + step
         self._shift = spline_matrix(
             moved, last, config.knots, "linear" if config.spline == "cubic" else config.spline
@@ -127,21 +140,50 @@ class Controller:
         """Turn knots into controls, within their limits."""
         return self._middle + self._half * np.clip(np.einsum("tk,skc->stc", self._spline, knots), -1.0, 1.0)
 
-    def _costs(self, state: np.ndarray, controls: np.ndarray) -> Float[np.ndarray, " sample"]:
-        """Simulate every candidate from the present state."""
-        simulator, samples = self._simulator, len(controls)
-        states = np.empty((samples, self.num_steps + 1, len(state)))
+    def _refined(
+        self, state: Float[np.ndarray, " state"], controls: Float[np.ndarray, "step control"]
+    ) -> Float[np.ndarray, "step control"]:
+        """Refine controls by a round of iLQR."""
+        assert isinstance(self._cost, DistanceCost)
+        states, controls, _ = (x[0] for x in self._simulate(state, lambda step, _: controls[None, step], 1))
+        act = policies(self.plant, self._cost, self._simulator, states, controls)
+        _, applied, costs = self._simulate(state, act, NUM_POLICIES)
+        return applied[np.argmin(costs)]
+
+    def _simulate(
+        self, state: Float[np.ndarray, " state"], act: Act, num: int
+    ) -> tuple[
+        Float[np.ndarray, "sample time state"],
+        Float[np.ndarray, "sample step control"],
+        Float[np.ndarray, " sample"],
+    ]:
+        """Simulate from the present state, each simulation with its own controls.
+
+        Args:
+            state: the present state.
+            act: gives the controls of a step.
+            num: number of simulations.
+
+        Returns:
+            The states, the controls within their limits, and the costs.
+        """
+        simulator, config = self._simulator, self.config
+        ids = None if num == simulator.num else np.arange(num, dtype=np.int32)
+        states = np.empty((num, self.num_steps + 1, len(state)))
+        controls = np.empty((num, self.num_steps, len(self._half)))
         states[:, 0] = state
-        simulator.reset(states[:, 0])
-        invalid = np.zeros(samples)
+        simulator.reset(states[:, 0], ids)
+        invalid = np.zeros(num)
         for step in range(self.num_steps):
-            simulator.step(controls[:, step], self.plant.physics_steps)
-            states[:, step + 1] = simulator.states()
-            invalid += ~simulator.allowed(samples)
-        diverged = simulator.diverged()
+            given = act(step, states[:, step])
+            controls[:, step] = np.clip(given, simulator.control_low, simulator.control_high)
+            simulator.step(controls[:, step], self.plant.physics_steps, ids)
+            states[:, step + 1] = simulator.states()[:num]
+            invalid += ~simulator.allowed(num)
+        diverged = simulator.diverged()[:num]
         states[diverged] = state
-        costs = self._cost(states, controls) + self.config.invalid_cost * invalid / self.num_steps
-        return np.where(diverged, np.inf, costs)
+        costs = self._cost(states, controls) + config.invalid_cost * invalid / self.num_steps
+        return states, controls, np.where(diverged, np.inf, costs)
 
 
 def colored(

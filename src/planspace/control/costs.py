@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
@@ -105,11 +105,30 @@ class DistanceCost:
         controls: Float[np.ndarray, "sample step control"],
     ) -> Float[np.ndarray, " sample"]:
         """Return the cost of each candidate."""
-        steps, config = controls.shape[1], self.config
-        points = np.unique(np.round(np.linspace(0, steps, config.cost_points + 1)[1:]).astype(int))
-        away = self.distance(states[:, np.maximum(points, 1)]) / self._unit
+        config = self.config
+        away = self.away(states[:, self._points(controls.shape[1])])
         effort = np.mean((controls / self._largest) ** 2, axis=(1, 2))
         return away.mean(axis=1) + config.terminal_weight * away[:, -1] + config.effort_weight * effort
+
+    def away(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch"]:
+        """The distance of states from the goal, in units of the mean distance of starts."""
+        return self.distance(states) / self._unit
+
+    def weights(self, steps: int) -> Float[np.ndarray, " time"]:
+        """The weight of the distance in each state of a horizon of this many control steps."""
+        points, weights = self._points(steps), np.zeros(steps + 1)
+        np.add.at(weights, points, 1 / len(points))
+        weights[-1] += self.config.terminal_weight
+        return weights
+
+    def effort_curvature(self, steps: int) -> Float[np.ndarray, " control"]:
+        """Second derivative of the effort by each control of one step."""
+        return 2 * self.config.effort_weight / (steps * len(self._largest) * self._largest**2)
+
+    def _points(self, steps: int) -> Int[np.ndarray, " point"]:
+        """The states of a horizon in which the distance counts."""
+        points = np.round(np.linspace(0, steps, self.config.cost_points + 1)[1:]).astype(int)
+        return np.maximum(np.unique(points), 1)
 
 
 class RewardCost:
