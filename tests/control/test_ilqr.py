@@ -39,6 +39,14 @@ def test_a_refined_controller_acts_at_least_as_well(embedding: Embedding) -> Non
     np.testing.assert_allclose(refining._spline @ knots, refining._spline, atol=1e-12)
 
 
+def test_controls_that_cost_nothing_are_kept(embedding: Embedding) -> None:
+    config = ControlConfig(cost="raw", horizon_s=0.12, samples=4, ilqr_rounds=1, effort_weight=0.0)
+    flat = Controller("cartpole-swingup", embedding, config, threads=1)
+    flat._cost.distance = lambda states: np.ones(states.shape[:-1])  # pyright: ignore
+    controls = np.array([[0.5], [-1.0], [2.0]])
+    np.testing.assert_allclose(flat._refined(STATE, controls), controls)
+
+
 def test_it_needs_a_distance() -> None:
     with pytest.raises(UsageError, match="ilqr_rounds needs a cost that is a distance: z, time or raw"):
         ControlConfig(cost="reward", ilqr_rounds=1)

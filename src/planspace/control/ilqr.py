@@ -24,6 +24,8 @@ NUDGE = 0.02
 """Half of the width of the differences of distances, along two directions of the tangent space at once."""
 SIGNS = ((1, 1), (-1, 1), (1, -1), (-1, -1))
 DAMPING, LENGTHS = (0.01, 0.1, 1.0), (1.0, 0.5, 0.25, 0.1)
+LEAST_CURVATURE = 1e-9
+"""Added to the second derivative by a control; it may be 0 where neither distance nor effort depends on it."""
 NUM_POLICIES = 1 + len(DAMPING) * len(LENGTHS)
 
 
@@ -75,7 +77,7 @@ def policies(
             by_state, by_control = a[t].T @ value, b[t].T @ value + effort * controls[t]
             both = b[t].T @ curvature @ a[t]
             twice = b[t].T @ curvature @ b[t] + np.diag(effort)
-            twice += damping * np.trace(twice) / len(effort) * np.eye(len(effort))
+            twice += (damping * np.trace(twice) / len(effort) + LEAST_CURVATURE) * np.eye(len(effort))
             wanted = controls[t] - np.linalg.solve(twice, by_control)
             change[t] = np.clip(wanted, simulator.control_low, simulator.control_high) - controls[t]
             free = (wanted > simulator.control_low) & (wanted < simulator.control_high)
