@@ -9,7 +9,7 @@ from planspace import Controller, Embedding, UsageError
 from planspace.control.config import ControlConfig
 
 STATE = np.array([0.1, 0.3, 0.0, -0.5])
-GRID = np.linspace(-3.0, 3.0, 25)
+GRID = np.linspace(-3.0, 3.0, 9)
 """Controls of the cart-pole [N]."""
 
 
@@ -27,12 +27,12 @@ def test_it_finds_the_best_controls(embedding: Embedding) -> None:
     for _ in range(20):
         costs.append(refining._simulate(STATE, lambda step, _, u=controls: u[None, step], 1)[2][0])
         controls = refining._refined(STATE, controls)
-    assert (np.diff(costs) <= 0).all()
+    assert (np.diff(costs) <= 0).all() and least < costs[0]
     assert costs[-1] <= least + 0.02 * (costs[0] - least)
     assert np.abs(controls).max() <= 3.0
 
 
-def test_a_refined_controller_acts_at_least_as_well(embedding: Embedding) -> None:
+def test_a_controller_acts_by_the_refined_controls_and_knows_their_knots(embedding: Embedding) -> None:
     plain, refining = (controller(embedding, samples=4, ilqr_rounds=n) for n in (0, 1))
     assert plain(STATE) != refining(STATE)
     knots = refining._knots @ refining._spline

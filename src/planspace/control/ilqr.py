@@ -25,7 +25,7 @@ NUDGE = 0.02
 SIGNS = ((1, 1), (-1, 1), (1, -1), (-1, -1))
 DAMPING, LENGTHS = (0.01, 0.1, 1.0), (1.0, 0.5, 0.25, 0.1)
 LEAST_CURVATURE = 1e-9
-"""Added to the second derivative by a control; it may be 0 where neither distance nor effort depends on it."""
+"""Added to the second derivative by a control, which is 0 where neither distance nor effort depends on it."""
 NUM_POLICIES = 1 + len(DAMPING) * len(LENGTHS)
 
 
