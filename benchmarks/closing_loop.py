@@ -10,13 +10,12 @@ results/control/closing_loop.csv; what the folder holds is not made again. `--ta
 docs/control.md.
 """
 
-import argparse
 import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from csv_rows import read_rows, write_rows
+from csv_rows import add_row, has_row, make_parser, parse
 
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
@@ -49,24 +48,14 @@ LEARN_HORIZON_S = 0.32
 
 def main() -> None:
     """Run the rounds that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, nargs="?", help="where all that is made is kept")
+    parser = make_parser(__doc__, "where all that is made is kept")
     parser.add_argument("--problem", default="cartpole-swingup", help="a task with a planning problem")
     parser.add_argument("--plans", type=int, default=60, metavar="N", help="number of plans")
     parser.add_argument("--learn", choices=("arrivals", "visits"), default="visits")
     parser.add_argument("--rounds", type=int, default=2, metavar="N", help="rounds after the first embedding")
     parser.add_argument("--horizons", nargs="+", type=float, default=[0.16, 0.32], metavar="S")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="embeddings of each round")
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
-    if options.folder is None:
-        parser.error("give a folder for plans, embeddings and episodes")
+    options, rows = parse(parser, RESULTS, table)
     plant = Plant.find(options.problem)
     folder = options.folder / f"{options.problem}-{options.plans}"
     demos = plan_demos(plant.problem, options.plans, out=folder / "plans")
@@ -82,12 +71,10 @@ def main() -> None:
                 "embedding_seed": str(seed),
                 "horizon_s": str(horizon),
             }
-            if not any(key.items() <= row.items() for row in rows):
+            if not has_row(rows, key):
                 out = folder / f"test-{number}{suffix(seed)}-{horizon}"
-                rows.append(key | test(plant, embeddings[seed], horizon, out))
-                rows[-1]["demonstrations"] = str(len(demos))
-                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                write_rows(RESULTS, COLUMNS, rows)
+                found = test(plant, embeddings[seed], horizon, out) | {"demonstrations": str(len(demos))}
+                add_row(RESULTS, COLUMNS, rows, key | found)
         if number < options.rounds:
             demos = more(plant, embeddings[0], demos, folder / f"learn-{number}", LEARN_SEED + number)
 

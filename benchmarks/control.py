@@ -14,10 +14,10 @@ Plans, encoders and episodes are kept in the folder, so the same command goes on
 results/control/costs.csv cell by cell. `--table` prints the table of docs/control.md.
 """
 
-import argparse
+from functools import partial
 from pathlib import Path
 
-from csv_rows import read_rows, write_rows
+from csv_rows import add_missing, make_parser, parse
 
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
@@ -64,32 +64,19 @@ NUM_PLANS, NUM_STARTS, SAMPLES = 60, 20, 128
 
 def main() -> None:
     """Run the cells that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, nargs="?", help="where plans, encoders and episodes are kept")
+    parser = make_parser(__doc__, "where plans, encoders and episodes are kept")
     parser.add_argument("--only", default="", help="only problems whose name contains this")
     parser.add_argument("--costs", nargs="+", default=list(COSTS), choices=COSTS)
     parser.add_argument("--horizons", nargs="+", type=float, default=list(HORIZONS), metavar="S")
     parser.add_argument("--no-regulator", action="store_true", help="without the regulator at the goal")
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
-    if options.folder is None:
-        parser.error("give a folder for plans, encoders and episodes")
+    options, rows = parse(parser, RESULTS, table)
     regulator = not options.no_regulator
     for name in (name for name in PROBLEMS if options.only in name):
         for cost in options.costs:
             for horizon in options.horizons:
                 cell = {"problem": name, "cost": cost, "horizon_s": str(horizon), "regulator": str(regulator)}
-                if any(cell.items() <= row.items() for row in rows):
-                    continue
-                rows.append(cell | measure(options.folder, name, cost, horizon, regulator))
-                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                write_rows(RESULTS, COLUMNS, rows)
+                measured = partial(measure, options.folder, name, cost, horizon, regulator)
+                add_missing(RESULTS, COLUMNS, rows, cell, measured)
 
 
 def measure(folder: Path, name: str, cost: str, horizon: float, regulator: bool) -> dict[str, str]:

@@ -8,11 +8,11 @@ starts. `rounds` is 0 without iLQR, and `seconds` the median time of a control s
 Rows are added to results/control/ilqr.csv. `--table` prints the table of docs/control.md.
 """
 
-import argparse
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from csv_rows import read_rows, write_rows
+from csv_rows import add_missing, make_parser, parse
 
 import planspace as ps
 from control import PROBLEMS
@@ -34,26 +34,16 @@ NUM_STARTS = 20
 
 def main() -> None:
     """Run the rows that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__)
     parser.add_argument("--only", default="", help="only problems whose name contains this")
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
+    options, rows = parse(parser, RESULTS, table)
     for name, cost, horizon in (case for case in CASES if options.only in case[0]):
         for samples in SAMPLES:
             for rounds in ROUNDS:
                 key = {"problem": name, "cost": cost, "horizon_s": str(horizon)}
                 key |= {"samples": str(samples), "rounds": str(rounds)}
-                if any(key.items() <= row.items() for row in rows):
-                    continue
-                rows.append(key | measure(name, cost, horizon, samples, rounds))
-                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                write_rows(RESULTS, COLUMNS, rows)
+                measured = partial(measure, name, cost, horizon, samples, rounds)
+                add_missing(RESULTS, COLUMNS, rows, key, measured)
 
 
 def measure(name: str, cost: str, horizon: float, samples: int, rounds: int) -> dict[str, str]:

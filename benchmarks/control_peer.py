@@ -12,13 +12,13 @@ as fractions of their limits.
 Rows are added to results/control/peer.csv. `--table` prints the table of docs/control.md.
 """
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from csv_rows import read_rows, write_rows
+from csv_rows import add_missing, make_parser, parse
 
 from planspace.control.config import ControlConfig
 from planspace.control.methods.sampling import Sampling
@@ -44,27 +44,14 @@ class Peer:
 
 def main() -> None:
     """Run the cells that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, nargs="?", help="where the episodes are kept")
+    parser = make_parser(__doc__, "where the episodes are kept")
     parser.add_argument("--only", default="", help="only problems whose name contains this")
     parser.add_argument("--samples", nargs="+", type=int, default=[10, 128], metavar="N")
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
-    if options.folder is None:
-        parser.error("give a folder for the episodes")
+    options, rows = parse(parser, RESULTS, table)
     for name in (name for name in PEERS if options.only in name):
         for samples in options.samples:
             key = {"problem": name, "samples": str(samples)}
-            if not any(key.items() <= row.items() for row in rows):
-                rows.append(key | measure(options.folder, name, samples))
-                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                write_rows(RESULTS, COLUMNS, rows)
+            add_missing(RESULTS, COLUMNS, rows, key, partial(measure, options.folder, name, samples))
 
 
 def measure(folder: Path, name: str, samples: int) -> dict[str, str]:

@@ -7,14 +7,14 @@ one after another in an empty folder on the swing-up, at default settings but fo
 Rows are added to results/control/plans.csv. `--table` prints the table of docs/control.md.
 """
 
-import argparse
 import json
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
-from csv_rows import read_rows, write_rows
+from csv_rows import add_missing, make_parser, parse
 
 RESULTS = Path(__file__).parents[1] / "results" / "control" / "plans.csv"
 COLUMNS = ("plans", "embedding_seed", "plan_s", "embed_s", "control_s", "total_s", "success", "return_mean")
@@ -23,27 +23,15 @@ PROBLEM, STARTS, SAMPLES, STEPS = "cartpole-swingup", 20, 128, 3000
 
 def main() -> None:
     """Run the rows that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, nargs="?", help="an empty folder, or one of an earlier run")
+    parser = make_parser(__doc__, "an empty folder, or one of an earlier run")
     parser.add_argument("--plans", nargs="+", type=int, default=[5, 10, 20, 60], metavar="N")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="embedding seeds, one row each")
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
-    if options.folder is None:
-        parser.error("give a folder for plans, embeddings and episodes")
+    options, rows = parse(parser, RESULTS, table)
     for plans in options.plans:
         for seed in range(options.seeds):
             key = {"plans": str(plans), "embedding_seed": str(seed)}
-            if not any(key.items() <= row.items() for row in rows):
-                rows.append(key | measure(options.folder / f"{plans}-{seed}", plans, seed))
-                print(*(rows[-1][column] for column in COLUMNS), sep="  ", flush=True)
-                write_rows(RESULTS, COLUMNS, rows)
+            folder = options.folder / f"{plans}-{seed}"
+            add_missing(RESULTS, COLUMNS, rows, key, partial(measure, folder, plans, seed))
 
 
 def measure(folder: Path, plans: int, seed: int) -> dict[str, str]:

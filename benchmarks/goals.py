@@ -25,7 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from csv_rows import Row, read_rows, write_rows
+from csv_rows import Row, has_row, make_parser, parse, read_rows, write_rows
 
 import planspace as ps
 from planspace.plan.config import PlanConfig
@@ -55,25 +55,15 @@ STEPS = {"trpo": 320_000, "ppo": 320_000, "sac": 40_000}
 
 def main() -> None:
     """Run the units that the results do not have yet."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, nargs="?", help="where plans, embeddings and runs are kept")
+    parser = make_parser(__doc__, "where plans, embeddings and runs are kept")
     parser.add_argument("--algo", default="trpo", choices=list(STEPS))
     parser.add_argument("--reward", default="dense", choices=("dense", "sparse"))
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))
-    parser.add_argument("--table", action="store_true", help="print the table and do nothing else")
-    options = parser.parse_args()
-    rows = read_rows(RESULTS)
-    if options.table:
-        print(table(rows))
-        return
-    if options.folder is None:
-        parser.error("give a folder for plans, embeddings and runs")
+    options, rows = parse(parser, RESULTS, table)
     training.first_returns = last_successes
     for arm in options.arms:
         key = {"task": TASK, "algorithm": options.algo, "reward": options.reward, "arm": arm}
-        if any(key.items() <= row.items() for row in rows):
+        if has_row(rows, key):
             continue
         found = run_unit(options, arm)
         rows = read_rows(RESULTS)  # again, because other algorithms may have been added

@@ -20,7 +20,7 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from csv_rows import read_rows, write_rows
+from csv_rows import has_row, read_rows, write_rows
 
 from control import PROBLEMS
 from planspace.control.config import ControlConfig
@@ -159,7 +159,7 @@ def control(names: list[str], folder: Path) -> None:
         for cost in ("z", "time") if embedding.time_head else ("z",):
             key = {"task": name, "cost": cost, "embedding": embedding.hash[:12]}
             rows = read_rows(CONTROLLED)
-            if any(key.items() <= row.items() for row in rows):
+            if has_row(rows, key):
                 continue
             found = control_into(
                 Plant.find(name),

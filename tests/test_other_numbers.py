@@ -114,8 +114,8 @@ def test_table_of_ways_to_use_plans() -> None:
     ],
 )
 def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
-    script = importlib.import_module(name)
-    lines = script.table(script.read_rows(script.RESULTS)).splitlines()
+    script, files = importlib.import_module(name), importlib.import_module("csv_rows")
+    lines = script.table(files.read_rows(script.RESULTS)).splitlines()
     text = (RESULTS.parent / "docs" / page).read_text()
     assert len(lines) > 5
     assert [line for line in lines if line not in text] == []

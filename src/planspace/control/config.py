@@ -59,7 +59,8 @@ class ControlConfig:
         """Check the ranges.
 
         Raises:
-            UsageError: a setting is out of its range, or the method does not fit the protocol `Method`.
+            UsageError: a setting is out of its range, iLQR has no distance to lower, or the method does not
+                fit the protocol `Method`.
         """
         check_fits(self.method, Method, PAGE)
         check_setting("horizon_s", self.horizon_s, self.horizon_s > 0, "above 0")
