@@ -80,6 +80,7 @@ LONG = (
     "control.md",
     "training.md",
     "tutorial.md",
+    "howto/agents.md",
     "howto/own-objective.md",
     "howto/demonstrations.md",
     "howto/gymnasium-task.md",

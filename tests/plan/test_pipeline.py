@@ -22,7 +22,7 @@ SLOW = {
     "arm",
     "arm-kinematic",
 }
-NIGHTLY = ("hopper-stand", "cheetah-ahead", "finger-spin", "pusher", "quadrotor")
+NIGHTLY = ("hopper-stand", "cheetah-ahead", "finger-spin", "pusher", "quadrotor", "quadrotor-planar")
 
 
 def marked(name: str) -> Any:

@@ -78,7 +78,7 @@ def test_velocities_stay_within_their_bounds_if_the_polish_sees_them() -> None:
     assert 26 <= lengths[0] <= 30 < lengths[1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_swing_up_gets_shorter_and_stays_within_its_limits() -> None:
     problem = load_problem("cartpole-swingup")
     simulator, start = make(problem), np.array([0.15, np.pi, 0.0, 0.0])

@@ -250,7 +250,9 @@ print(ps.plan_demos({problem!r}, 2, planner=lambda query, rng: own.plan(query, r
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["script", "standard input", "prompt"])
+@pytest.mark.parametrize(
+    "how", ["script", *(pytest.param(how, marks=pytest.mark.nightly) for how in ("standard input", "prompt"))]
+)
 def test_a_script_without_a_guard_and_a_prompt_can_plan(problem: str, tmp_path: Path, how: str) -> None:
     script, text = tmp_path / "script.py", SCRIPT.format(problem=problem)
     script.write_text(text)

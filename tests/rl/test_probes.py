@@ -99,6 +99,7 @@ def test_a_later_reward_is_discounted(algo: str, preset: str) -> None:
     np.testing.assert_allclose(trained.value(second, 1), 1.0, atol=0.03)
 
 
+@pytest.mark.nightly  # the next test asks for more
 @pytest.mark.parametrize(("algo", "preset"), LONG_ARMS)
 def test_the_better_action_is_found(algo: str, preset: str) -> None:
     task = probe(lambda before, after, control: -((control[:, 0] - 1.0) ** 2))

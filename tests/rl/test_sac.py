@@ -73,7 +73,7 @@ def test_a_resumed_run_and_a_single_seed_are_exact(tmp_path: Path, monkeypatch: 
     assert np.isfinite(whole["critic_loss"]).all() and not whole["frozen"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_known_best_action_is_found() -> None:
     task = replace(aim(), start_low=(-1.0, -1.0, 1.0, 0.0), start_high=(1.0, 1.0, 1.0, 0.0))
     config = TrainConfig(
