@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from planspace.envs.batch import TaskBatch
 from planspace.envs.gymnasium_groups import Group, LocalGroup, WorkerGroup
@@ -62,6 +62,16 @@ class Episodes(Protocol):
         Args:
             rngs: the random stream of each seed.
             ended: the environments whose episodes start; None starts all.
+        """
+        ...
+
+    def start_at(self, ids: Int[np.ndarray, " chosen"], values: Float[np.ndarray, "chosen settable"]) -> None:
+        """Have some episodes, which have just started, start at other states, with the same targets.
+
+        Args:
+            ids: the environments.
+            values: the numbers of the state that can be set: those of a planspace task, or of a Gymnasium
+                environment the numbers `task.sizes.settable_names`.
         """
         ...
 
@@ -129,6 +139,10 @@ class TaskEpisodes:
         self.batch.reset(states, targets, ids)
         self._elapsed[slice(None) if ids is None else ids] = 0
 
+    def start_at(self, ids: Int[np.ndarray, " chosen"], values: Float[np.ndarray, "chosen settable"]) -> None:
+        """Have some episodes, which have just started, start at other states, with the same targets."""
+        self.batch.reset(values, self.targets[ids], ids.astype(np.int32))
+
     def step(self, actions: Float[np.ndarray, "env action"]) -> Steps:
         """Take one step in every episode."""
         rewards, terminated, diverged = self.batch.step(actions)
@@ -169,6 +183,10 @@ class GymEpisodes:
         seeds = [rng.integers(NUM_SEEDS, size=len(i)) for i, rng in zip(ids, rngs, strict=True)]
         started = np.concatenate(ids)
         self.states[started] = self._group.reset(started, np.concatenate(seeds))
+
+    def start_at(self, ids: Int[np.ndarray, " chosen"], values: Float[np.ndarray, "chosen settable"]) -> None:
+        """Have some episodes, which have just started, start at other states."""
+        self.states[ids] = self._group.set_states(ids, values)
 
     def step(self, actions: Float[np.ndarray, "env action"]) -> Steps:
         """Take one step in every episode; one whose action is not finite is cut before the step."""

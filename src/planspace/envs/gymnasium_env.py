@@ -5,11 +5,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box, flatten
+from jaxtyping import Float
 
 from planspace.errors import PlanspaceError
 from planspace.tasks.env_state import state_reader
 from planspace.tasks.gymnasium import GymTask
 
+STATE_TOLERANCE = 1e-6
+"""Difference between a state that was set and the state that is then read."""
 DEFAULT_FPS = 30
 """Steps in a second, for an environment that does not say how long a step lasts."""
 
@@ -39,8 +42,7 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.state_names = task.state_names
         self.observation_space = Box(-np.inf, np.inf, (len(sizes.obs_names),), np.float32)
         self.action_space = Box(sizes.action_low, sizes.action_high, dtype=sizes.action_low.dtype.type)
-        reader = state_reader(self.inner) if sizes.other_names else None
-        self._others = reader
+        self._reader = reader = state_reader(self.inner)
         self._columns = [reader.names.index(name) for name in sizes.other_names] if reader else []
         self.state = np.zeros(len(self.state_names))
 
@@ -65,6 +67,32 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         except Exception as error:  # whatever the environment raises
             raise self._failure("reset", error) from error
         return self._read(obs), {**info, "state": self.state.copy()}
+
+    def set_state(self, values: Float[np.ndarray, " settable"]) -> np.ndarray:
+        """Put the environment, whose episode has just started, into another state.
+
+        Args:
+            values: the numbers `task.sizes.settable_names`.
+
+        Returns:
+            The observation, flat and float32.
+
+        Raises:
+            PlanspaceError: the environment fails, or is then in another state.
+        """
+        assert self._reader is not None
+        try:
+            obs = self._reader.write(values)
+        except Exception as error:  # whatever the environment raises
+            raise self._failure("set_state", error) from error
+        found = self._reader()
+        if not np.allclose(found, values, rtol=0, atol=STATE_TOLERANCE):
+            worst = int(np.argmax(np.abs(found - values)))
+            raise PlanspaceError(
+                f"{self.task.name} cannot start an episode at a given state: {self._reader.names[worst]} was "
+                f"set to {values[worst]:g} and is {found[worst]:g}."
+            )
+        return self._read(obs)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Take one step with the action clipped to its limits.
@@ -104,7 +132,8 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def _read(self, obs: Any) -> np.ndarray:
         """Update the state, and return the flat observation."""
         flat = np.asarray(flatten(self.inner.observation_space, obs), dtype=float)
-        self.state = flat if self._others is None else np.append(flat, self._others()[self._columns])
+        columns = self._columns
+        self.state = np.append(flat, self._reader()[columns]) if self._reader and columns else flat
         if not np.isfinite(self.state).all():
             name = self.state_names[int(np.argmin(np.isfinite(self.state)))]
             raise PlanspaceError(f"{self.task.name} returned a number that is not finite: {name}.")

@@ -5,7 +5,7 @@ runs, and start the next episodes by itself. Here a worker steps several environ
 """
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, NamedTuple, Protocol
 
@@ -37,6 +37,20 @@ class Group(Protocol):
         """Start an episode in some environments, each with its seed, and return their states."""
         ...
 
+    def set_states(
+        self, ids: Int[np.ndarray, " env"], values: Float[np.ndarray, "env settable"]
+    ) -> Float[np.ndarray, "env state"]:
+        """Put some environments, whose episodes have just started, into other states.
+
+        Args:
+            ids: the environments.
+            values: the numbers `task.sizes.settable_names` of each.
+
+        Returns:
+            Their states, all numbers.
+        """
+        ...
+
     def step(self, ids: Int[np.ndarray, " env"], actions: Float[np.ndarray, "env action"]) -> GymSteps:
         """Take one step in some environments."""
         ...
@@ -61,6 +75,16 @@ class LocalGroup:
         states = np.zeros((len(ids), self._width))
         for row, (i, seed) in enumerate(zip(ids, seeds, strict=True)):
             self._envs[i].reset(seed=int(seed))
+            states[row] = self._envs[i].state
+        return states
+
+    def set_states(
+        self, ids: Int[np.ndarray, " env"], values: Float[np.ndarray, "env settable"]
+    ) -> Float[np.ndarray, "env state"]:
+        """Put some environments, whose episodes have just started, into other states."""
+        states = np.zeros((len(ids), self._width))
+        for row, i in enumerate(ids):
+            self._envs[i].set_state(values[row])
             states[row] = self._envs[i].state
         return states
 
@@ -110,12 +134,13 @@ class WorkerGroup:
         self, ids: Int[np.ndarray, " env"], seeds: Int[np.ndarray, " env"]
     ) -> Float[np.ndarray, "env state"]:
         """Start an episode in some environments, each with its seed, and return their states."""
-        states = np.zeros((len(ids), self._width))
-        rows = self._rows(ids)
-        calls = [(w, _reset, (ids[at] // self._workers, seeds[at])) for w, at in rows.items()]
-        for at, part in zip(rows.values(), self._results(calls), strict=True):
-            states[at] = part
-        return states
+        return self._states(_reset, ids, seeds)
+
+    def set_states(
+        self, ids: Int[np.ndarray, " env"], values: Float[np.ndarray, "env settable"]
+    ) -> Float[np.ndarray, "env state"]:
+        """Put some environments, whose episodes have just started, into other states."""
+        return self._states(_set_states, ids, values)
 
     def step(self, ids: Int[np.ndarray, " env"], actions: Float[np.ndarray, "env action"]) -> GymSteps:
         """Take one step in some environments."""
@@ -133,6 +158,17 @@ class WorkerGroup:
         """End the worker processes, and with them the environments."""
         for pool in self._pools:
             pool.close()
+
+    def _states(
+        self, function: Callable[..., np.ndarray], ids: Int[np.ndarray, " env"], values: np.ndarray
+    ) -> Float[np.ndarray, "env state"]:
+        """Call a function in the workers with their environments and the values of these."""
+        states = np.zeros((len(ids), self._width))
+        rows = self._rows(ids)
+        calls = [(w, function, (ids[at] // self._workers, values[at])) for w, at in rows.items()]
+        for at, part in zip(rows.values(), self._results(calls), strict=True):
+            states[at] = part
+        return states
 
     def _rows(self, ids: Int[np.ndarray, " env"]) -> dict[int, Int[np.ndarray, " row"]]:
         """The rows of `ids` that each worker steps: environment i belongs to worker i modulo their number."""
@@ -165,6 +201,10 @@ def _make(task: GymTask, spec: Any, num: int) -> None:
 
 def _reset(ids: Int[np.ndarray, " env"], seeds: Int[np.ndarray, " env"]) -> np.ndarray:
     return _groups[0].reset(ids, seeds)
+
+
+def _set_states(ids: Int[np.ndarray, " env"], values: np.ndarray) -> np.ndarray:
+    return _groups[0].set_states(ids, values)
 
 
 def _step(ids: Int[np.ndarray, " env"], actions: np.ndarray) -> GymSteps:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from planspace.envs.episodes import Episodes, Steps, TaskEpisodes
-from planspace.tasks.task import Task
+from planspace.envs.episodes import Episodes, Steps
+from planspace.tasks.gymnasium import AnyTask
 
 FIRST_PART = 0.1
 """Last part of each plan in which episodes start at the beginning of a reverse curriculum."""
@@ -42,7 +42,7 @@ class PlanStarts:
     A start at a state of a plan keeps the target that the task drew for the episode.
     """
 
-    def __init__(self, own: TaskEpisodes, starts: StartStates, fraction: float, done: float = 0.0):
+    def __init__(self, own: Episodes, starts: StartStates, fraction: float, done: float = 0.0):
         """Draw starts from plans, too.
 
         Args:
@@ -59,7 +59,7 @@ class PlanStarts:
         return PlanStarts(self.own, self._starts, self._fraction, done)
 
     @property
-    def task(self) -> Task:
+    def task(self) -> AnyTask:
         """The task."""
         return self.own.task
 
@@ -83,7 +83,7 @@ class PlanStarts:
     ) -> None:
         """Start every episode, or those that ended, each as the task says or at a state of a plan."""
         self.own.reset(rngs, ended)
-        by_seed = np.arange(len(self.states), dtype=np.int32).reshape(len(rngs), -1)
+        by_seed = np.arange(len(self.states)).reshape(len(rngs), -1)
         ids, rows = [], []
         for s, rng in enumerate(rngs):
             started = by_seed[s] if ended is None else by_seed[s][ended[s]]
@@ -91,14 +91,19 @@ class PlanStarts:
             ids.append(chosen)
             rows.append(rng.integers(self._num, size=len(chosen)))
         index = np.concatenate(ids)
-        self.own.batch.reset(self._starts.states[np.concatenate(rows)], self.targets[index], index)
+        self.start_at(index, self._starts.states[np.concatenate(rows)])
+
+    def start_at(self, ids: Int[np.ndarray, " chosen"], values: Float[np.ndarray, "chosen settable"]) -> None:
+        """Have some episodes, which have just started, start at other states, with the same targets."""
+        self.own.start_at(ids, values)
 
     def step(self, actions: Float[np.ndarray, "env action"]) -> Steps:
         """Take one step in every episode."""
         return self.own.step(actions)
 
     def close(self) -> None:
-        """Do nothing: there is nothing to free."""
+        """Free what the environments hold."""
+        self.own.close()
 
 
 def own_starts(episodes: Episodes) -> Episodes:

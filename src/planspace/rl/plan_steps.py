@@ -7,11 +7,10 @@ from jaxtyping import Bool, Float, Int
 
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
-from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
 from planspace.rl.observe import Observer
 from planspace.rl.progress import Progress
-from planspace.rl.task_goal import has_goal_states
+from planspace.rl.settable import Settable
 from planspace.rl.transitions import Transitions
 
 TIME_TOLERANCE = 1e-6
@@ -20,7 +19,7 @@ TIME_TOLERANCE = 1e-6
 
 def plan_steps(
     demos: Demos,
-    batch: TaskBatch,
+    settable: Settable,
     observer: Observer,
     alive: Bool[np.ndarray, " row"],
     progress: Progress | None = None,
@@ -35,8 +34,8 @@ def plan_steps(
     not known. Otherwise targets are drawn as the task draws them.
 
     Args:
-        demos: the plans, with the states of the task.
-        batch: simulations of the task.
+        demos: the plans, with the states that are set.
+        settable: takes the steps of the task.
         observer: what policy and critic observe.
         alive: whether an episode goes on at each state of the plans.
         progress: computes the rewards, if they are not the task's.
@@ -44,22 +43,25 @@ def plan_steps(
     Raises:
         UsageError: no step remains.
     """
-    task, simulator = batch.task, batch.simulator
-    duration = task.action_repeat * task.frame_skip * float(simulator.model.opt.timestep)
-    parts = [average_controls(demos.episode(i), duration) for i in range(len(demos))]
+    parts = [average_controls(demos.episode(i), settable.duration) for i in range(len(demos))]
     starts = demos.offsets[:-1]
     rows = np.concatenate([start + np.arange(len(part)) for start, part in zip(starts, parts, strict=True)])
     kept = alive[rows]
     if not kept.any():
         raise _no_steps()
     rows, controls = rows[kept], np.concatenate(parts)[kept]
-    actions = np.clip(controls, simulator.control_low, simulator.control_high).astype(np.float32)
-    states = task.space.normalise(demos.states)[rows]
-    observe, paid = replace(observer, num_seeds=1), progress and replace(progress, num_seeds=1)
-    found = _simulate(batch, observe, states, actions, _targets(demos, batch, rows), paid)
-    if not len(found.rewards):
+    actions = np.clip(controls, *settable.limits).astype(np.float32)
+    targets = settable.targets(_goals(demos, rows))
+    steps = settable.step(settable.normalise(demos.states)[rows], actions, targets)
+    kept = ~steps.diverged
+    if not kept.any():
         raise _no_steps()
-    return found
+    actions, targets = actions[kept], targets[kept]
+    before, rewards, after, terminated, _ = (array[kept] for array in steps)
+    observe, paid = replace(observer, num_seeds=1), progress and replace(progress, num_seeds=1)
+    if paid is not None:
+        rewards = paid(before, after, targets)
+    return Transitions(observe(before, targets), actions, rewards, observe(after, targets), terminated)
 
 
 def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "step control"]:
@@ -81,38 +83,11 @@ def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "st
     return (np.stack(after, axis=1) - integral[:whole]) / duration
 
 
-def _targets(
-    demos: Demos, batch: TaskBatch, rows: Int[np.ndarray, " step"]
-) -> Float[np.ndarray, "step target"]:
-    """The target of each step."""
-    if not has_goal_states(batch.task):
-        return batch.task.sample_starts(len(rows), np.random.default_rng(0))[1]
+def _goals(demos: Demos, rows: Int[np.ndarray, " step"]) -> Float[np.ndarray, "step settable"]:
+    """The goal of the plan of each row, or its last state if the goal is not known."""
     known = np.isfinite(demos.goals).all(axis=1, keepdims=True)
     goals = np.where(known, demos.goals, demos.states[demos.offsets[1:] - 1])
-    return batch.task.space.normalise(goals)[np.searchsorted(demos.offsets, rows, side="right") - 1]
-
-
-def _simulate(
-    batch: TaskBatch,
-    observe: Observer,
-    states: Float[np.ndarray, "step state"],
-    actions: Float[np.ndarray, "step control"],
-    targets: Float[np.ndarray, "step target"],
-    progress: Progress | None,
-) -> Transitions:
-    """The steps from these states with these controls, without those whose physics diverge."""
-    size, parts = len(batch.states), []
-    for first in range(0, len(states), size):
-        rows = np.minimum(np.arange(first, first + size), len(states) - 1)  # the last is repeated
-        batch.reset(states[rows], targets[rows])
-        obs = observe(batch.states, batch.targets)
-        rewards, terminated, diverged = batch.step(actions[rows])
-        if progress is not None:
-            rewards = progress(states[rows], batch.states, batch.targets)
-        step = Transitions(obs, actions[rows], rewards, observe(batch.states, batch.targets), terminated)
-        kept = ~diverged[: len(states) - first]
-        parts.append([array[: len(kept)][kept] for array in step])
-    return Transitions(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return goals[np.searchsorted(demos.offsets, rows, side="right") - 1]
 
 
 def _no_steps() -> UsageError:

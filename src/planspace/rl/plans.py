@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.demos.state_info import StateInfo
-from planspace.envs.batch import TaskBatch
-from planspace.envs.episodes import Episodes, TaskEpisodes
+from planspace.envs.episodes import Episodes
 from planspace.envs.plan_starts import PlanStarts, StartStates
 from planspace.errors import UsageError
 from planspace.mjcf.source import model_key
@@ -19,11 +18,11 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import plan_steps
 from planspace.rl.progress import Progress
+from planspace.rl.settable import Settable, find_settable
 from planspace.rl.transitions import Transitions
+from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.task import Task
 
-NUM_SIMULATIONS = 256
-"""States that are simulated or judged at once; results do not depend on it."""
 LEAST_DURATION = 1e-9
 """Durations are at least this [s], so that plans of one state can be divided by theirs."""
 
@@ -36,8 +35,8 @@ class Plans:
     """The settings of the run."""
     observer: Observer
     """What policy and critic observe."""
-    task: Task
-    """The task."""
+    settable: Settable
+    """Sets the states of the task and takes its steps."""
     demos: Demos
     """The plans."""
     progress: Progress | None = None
@@ -74,14 +73,15 @@ class Plans:
                 "plans were given, but nothing uses them: give --resets or --replay a fraction, or --clone "
                 "or --clone-weight a number."
             )
-        if not isinstance(task, Task):
+        settable = find_settable(task, config.task_reward)
+        if settable is None:
             raise UsageError(
-                f"{used} sets the state of an episode, which planspace cannot do in {task.name}: leave it "
-                "out, or make the robot a task of your own (docs/howto/own-task.md)."
+                f"{used} sets the state of an episode, which {task.name} does not allow: leave it out. "
+                "See docs/howto/gymnasium-task.md."
             )
         demos = given if isinstance(given, Demos) else load_demos(given)
-        _check_states(task, demos.info)
-        plans = cls(config, observer, task, demos, progress)
+        _check_states(task, settable.names, demos.info)
+        plans = cls(config, observer, settable, demos, progress)
         plans._check_steps()
         if not plans._alive.any():
             raise UsageError(f"{task.name} ends an episode at every state of the plans: give other plans.")
@@ -98,7 +98,6 @@ class Plans:
         """Have the fraction `resets` of the episodes start at states of plans at which no episode ends."""
         if not self.config.resets:
             return own
-        assert isinstance(own, TaskEpisodes)
         return PlanStarts(own, self._starts, self.config.resets)
 
     def transitions(self) -> Transitions | None:
@@ -109,22 +108,27 @@ class Plans:
         """
         if not self._step_options:
             return None
-        return plan_steps(self._in_task, self._batch, self.observer, self._alive, self.progress)
+        return plan_steps(self._in_task, self.settable, self.observer, self._alive, self.progress)
+
+    @property
+    def task(self) -> AnyTask:
+        """The task."""
+        return self.observer.task
 
     @cached_property
     def _in_task(self) -> Demos:
-        """The plans with the states of the task in their order."""
-        return self.demos.select(self.task.state_names)
+        """The plans with the states that are set, in their order."""
+        return self.demos.select(self.settable.names)
 
     @cached_property
     def _states(self) -> Float[np.ndarray, "row state"]:
         """The states of all plans."""
-        return self.task.space.normalise(self._in_task.states)
+        return self.settable.normalise(self._in_task.states)
 
     @cached_property
     def _alive(self) -> Bool[np.ndarray, " row"]:
         """Whether an episode goes on at each state of the plans."""
-        return self._goes_on(self._states)
+        return self.settable.goes_on(self._states)
 
     @cached_property
     def _starts(self) -> StartStates:
@@ -136,8 +140,8 @@ class Plans:
             return StartStates(plans[order], left[order])
         if self.config.reset_states == "plans":
             return StartStates(plans)
-        trees = self.task.space.normalise(np.concatenate([tree.states for tree in self._in_task.trees]))
-        trees = trees[self._goes_on(trees)]
+        trees = self.settable.normalise(np.concatenate([tree.states for tree in self._in_task.trees]))
+        trees = trees[self.settable.goes_on(trees)]
         if self.config.reset_states == "trees":
             return StartStates(trees)
         num = max(len(plans), len(trees))  # repeated, so that half of the starts are from each
@@ -149,17 +153,6 @@ class Plans:
         demos = self.demos
         durations = demos.times[demos.offsets[1:] - 1]
         return 1.0 - demos.times / np.repeat(np.maximum(durations, LEAST_DURATION), np.diff(demos.offsets))
-
-    def _goes_on(self, states: Float[np.ndarray, "row state"]) -> Bool[np.ndarray, " row"]:
-        """Whether an episode goes on at each of these states."""
-        blocks = range(0, len(states), NUM_SIMULATIONS)
-        ended = [self.task.terminated(states[first : first + NUM_SIMULATIONS]) for first in blocks]
-        return ~np.concatenate(ended)
-
-    @cached_property
-    def _batch(self) -> TaskBatch:
-        """Simulations of the task."""
-        return TaskBatch(self.task, min(NUM_SIMULATIONS, len(self._states)), reward=self.config.task_reward)
 
     @property
     def _step_options(self) -> tuple[str, ...]:
@@ -193,7 +186,7 @@ class Plans:
         option = self._step_options[0]
         if not self.demos.controls.any():
             raise UsageError(f"{option} needs the controls of the plans, but they have none: use --resets.")
-        num_controls, found = self._batch.simulator.model.nu, self.demos.info.num_controls
+        num_controls, found = len(self.settable.limits[0]), self.demos.info.num_controls
         if found != num_controls:
             raise UsageError(
                 f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
@@ -206,20 +199,20 @@ class Plans:
             raise UsageError(f"{option} needs one embedding for all seeds, got {count}: use --resets.")
 
 
-def _check_states(task: Task, info: StateInfo) -> None:
-    """Check that plans are of the task's joints and, if they have a model, of its model.
+def _check_states(task: AnyTask, names: tuple[str, ...], info: StateInfo) -> None:
+    """Check that plans have the states that are set and, if they have a model, the task's.
 
     Raises:
-        UsageError: they are not.
+        UsageError: they do not.
     """
-    names, source = task.state_names, info.source
-    missing = [name for name in names if name not in info.names]
-    if missing or (source is not None and info.joints != task.joints):
+    source, missing = info.source, [name for name in names if name not in info.names]
+    own = task if isinstance(task, Task) and source else None  # models of Gymnasium are not compared
+    if missing or (own and info.joints != own.joints):
         raise UsageError(
             f"the plans have the states ({', '.join(info.names)}), but {task.name} has "
             f"({', '.join(names)}): give plans of the same joints."
         )
-    if source is not None and model_key(source) != model_key(task.source):
+    if own and source and model_key(source) != model_key(own.source):
         raise UsageError(
             f"the plans were made with another model than that of {task.name}: give plans of the same model."
         )

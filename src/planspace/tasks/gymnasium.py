@@ -39,6 +39,8 @@ class Sizes(NamedTuple):
     action_low: Float[np.ndarray, " action"]
     action_high: Float[np.ndarray, " action"]
     horizon: int
+    settable_names: tuple[str, ...]
+    """Numbers of the state that `GymTaskEnv.set_state` sets; none if it cannot be set."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,7 +167,8 @@ class GymTask:
             names = self._checked_names(tuple(_flat_names(self.name, env.observation_space)))
             reader = state_reader(env)
             others = [name for name in (reader.names if reader else ()) if name not in names]
-            return Sizes(names, tuple(others), low, high, self._horizon(env))
+            settable = reader.names if reader and reader.can_write else ()
+            return Sizes(names, tuple(others), low, high, self._horizon(env), settable)
         finally:
             env.close()
 

@@ -1,0 +1,211 @@
+"""Opening a door with the Adroit hand from 25 human demonstrations, by several ways to use them.
+
+    OPENBLAS_NUM_THREADS=1 python benchmarks/door.py runs/door --archive door_human.npz
+    python benchmarks/door.py --table
+
+The archive holds the demonstrations that were released with DAPG as arrays (docs/howto/demonstrations.md says
+what it looks like). They recorded observations, which lack the height of the arm and all velocities. The
+states are reconstructed: the height follows from the position of the palm, and the velocities are central
+differences. `states` prints how far the reconstructed states are from what was recorded.
+
+The task is `AdroitHandDoorSparse-v1`, 10 for each step with an open door and -0.1 for every other; the
+algorithm is SAC with the preset `modern` and networks of 64 x 64. An episode succeeds if the door is open in
+any of its 200 steps. Each final policy plays 20 episodes. Arms and budget were fixed before a seed was run.
+Rows are added to results/rl/door.csv unit by unit; a unit is a seed of an arm.
+"""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from csv_rows import Row, add_missing, make_parser, parse
+
+import planspace as ps
+from planspace.demos.dataset import Demos
+from planspace.demos.episode import Episode
+from planspace.demos.state_info import StateInfo
+from planspace.embed.config import PRESETS
+from planspace.embed.embedding import Embedding
+from planspace.envs.gymnasium_env import GymTaskEnv
+from planspace.rl.algorithms import find_algorithm
+from planspace.rl.config import TrainConfig
+from planspace.rl.play import play
+from planspace.seams import with_settings
+from planspace.tasks.env_state import mujoco_of
+from planspace.tasks.gymnasium import GymTask
+
+RESULTS = Path(__file__).parents[1] / "results" / "rl" / "door.csv"
+COLUMNS = ("arm", "steps", "seed", "success", "return_mean")
+TASK = GymTask("AdroitHandDoorSparse-v1")
+SEED, NUM_SEEDS, STEPS, EPISODES, HIDDEN = 300, 5, 300_000, 20, (64, 64)
+CLOSED = -0.1 * 200
+"""Return of an episode whose door stays closed."""
+ARMS: dict[str, dict[str, Any]] = {
+    "scratch": {},
+    "cloning": {"clone": 2000, "clone_weight": 1.0},
+    "resets": {"resets": 0.5},
+    "resets + z": {"resets": 0.5, "z": "augment"},
+    "replay": {"replay": 0.5},
+    "resets and replay": {"resets": 0.5, "replay": 0.5},
+}
+"""Settings of `TrainConfig` that differ from those of the first arm."""
+
+
+def main() -> None:
+    """Run the units that the results do not have yet."""
+    parser = make_parser(__doc__, "where demonstrations, embedding and runs are kept")
+    parser.add_argument("--archive", type=Path, required=False, help="the demonstrations (.npz)")
+    parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS)
+    parser.add_argument("--seeds", type=int, default=NUM_SEEDS, metavar="N", help="seeds from 300")
+    parser.add_argument("--steps", type=int, default=STEPS, metavar="N")
+    parser.add_argument("--states", action="store_true", help="say how exact the states are, and stop")
+    options, rows = parse(parser, RESULTS, table)
+    if options.archive is None:
+        parser.error("--archive FILE is needed")
+    demos = full_states(options.archive)
+    demos.save(options.folder / "demos")
+    if options.states:
+        print(exactness(demos, options.archive))
+        return
+    for seed in range(SEED, SEED + options.seeds):
+        for arm in options.arms:
+            key = {"arm": arm, "steps": str(options.steps), "seed": str(seed)}
+            folder = options.folder / f"{arm.replace(' ', '-')}-{options.steps}-{seed}"
+            add_missing(
+                RESULTS,
+                COLUMNS,
+                rows,
+                key,
+                lambda a=arm, s=seed, f=folder: run(demos, a, s, options.steps, f),
+            )
+
+
+def run(demos: Demos, arm: str, seed: int, steps: int, folder: Path) -> Row:
+    """Train one seed of an arm, and let it play."""
+    settings = ARMS[arm]
+    algorithm = with_settings(find_algorithm("sac", "modern"), hidden=HIDDEN, critic_hidden=HIDDEN)
+    config = TrainConfig(algorithm, num_seeds=1, seed=seed, steps=steps, **settings)
+    uses = any(name in settings for name in ("resets", "replay", "clone"))
+    ps.train_policies(
+        TASK,
+        config,
+        embedding=embedding_of(demos, folder.parent) if "z" in settings else None,
+        plans=demos if uses else None,
+        out=folder,
+    )
+    returns, _ = play(ps.load_policy(folder, seed), EPISODES, 0)
+    return {"success": f"{(returns > CLOSED + 1).mean():.2f}", "return_mean": f"{returns.mean():.1f}"}
+
+
+def embedding_of(demos: Demos, folder: Path) -> Embedding:
+    """An embedding of the joints' positions and velocities."""
+    joints = demos.select(demos.info.names[:60])
+    return ps.fit_embedding(joints, config=PRESETS["modern"], out=folder / "embedding")
+
+
+# --- states -----------------------------------------------------------------------------------------
+
+
+def full_states(archive: Path) -> Demos:
+    """Reconstruct the states of the demonstrations from their observations."""
+    with np.load(archive) as data:
+        arrays = {name: data[name] for name in data.files}
+    env, names = GymTaskEnv(TASK), TASK.sizes.settable_names
+    info = StateInfo(names, ("",) * len(names), (), TASK.sizes.action_low.size)
+    episodes, offsets = [], arrays["offsets"]
+    for i, (first, last) in enumerate(itertools.pairwise(offsets)):
+        door, dt = arrays["door_body_pos"][i], env.step_time
+        observed = arrays["observations"][first:last]
+        positions = joint_positions(env, observed, door, arrays["init_qpos"][i], dt)
+        velocities = np.asarray(np.gradient(positions, dt, axis=0))
+        velocities[0] = arrays["init_qvel"][i]
+        states = np.hstack([positions, velocities, np.broadcast_to(door, (len(positions), 3))])
+        times, goal = dt * np.arange(len(states)), np.full(len(names), np.nan)
+        controls = arrays["actions"][first : last - 1]
+        episodes.append(Episode(states, controls, times, goal, True, i, i))
+    env.close()
+    return Demos.from_episodes(info, episodes)
+
+
+def joint_positions(
+    env: GymTaskEnv, observed: np.ndarray, door: np.ndarray, first: np.ndarray, dt: float
+) -> np.ndarray:
+    """All joint positions [step, 30] of a demonstration.
+
+    An observation holds all but the first, the slide of the arm, and the position of the palm at the start of
+    the last simulation step. The slide moves the palm along a fixed axis.
+    """
+    positions = np.zeros((len(observed), 30))
+    positions[:, 1:28], positions[:, 28], positions[:, 29] = (
+        observed[:, :27],
+        observed[:, 28],
+        observed[:, 27],
+    )
+    positions[:, 0] = first[0]
+    lag = timestep(env)
+    for _ in range(3):  # the palm depends on the velocities, and these on the slide
+        velocities = np.asarray(np.gradient(positions, dt, axis=0))
+        before = positions - lag * velocities
+        before[0] = positions[0]  # the first observation is that of a reset
+        palms, axis = palms_at(env, before, door)
+        positions[:, 0] += (observed[:, 29:32] - palms) @ axis
+    return positions
+
+
+def palms_at(env: GymTaskEnv, positions: np.ndarray, door: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position of the palm [step, 3], and the direction in which the slide moves it."""
+    palms = np.zeros((len(positions), 3))
+    env.reset(seed=0)
+    for k, qpos in enumerate(positions):
+        palms[k] = env.set_state(np.concatenate([qpos, np.zeros(30), door]))[29:32]
+    moved = positions[0].copy()
+    moved[0] += 0.01
+    there = env.set_state(np.concatenate([moved, np.zeros(30), door]))[29:32]
+    return palms, (there - palms[0]) / 0.01
+
+
+def timestep(env: GymTaskEnv) -> float:
+    """Duration of a simulation step [s]."""
+    found = mujoco_of(env.inner)
+    assert found is not None
+    return float(found[0].opt.timestep)
+
+
+def exactness(demos: Demos, archive: Path) -> str:
+    """How far the states, and one step from each with the recorded action, are from what was recorded."""
+    with np.load(archive) as data:
+        observed, actions = data["observations"], data["actions"]
+    env, offsets = GymTaskEnv(TASK), demos.offsets
+    inside = np.setdiff1d(np.arange(len(demos.states)), offsets[1:] - 1)
+    at, after = [], []
+    for row in inside:
+        env.reset(seed=0)
+        at.append(np.abs(env.set_state(demos.states[row])[:38] - observed[row, :38]))
+        obs = env.step(actions[row])[0]
+        after.append(np.abs(obs[:38] - observed[row + 1, :38]))
+    at, after = np.array(at), np.array(after)
+    env.close()
+    lines = ["| numbers | state | one step later |", "|---|---|---|"]
+    for name, columns in (("joints [rad]", slice(0, 29)), ("palm and handle [m]", slice(29, 35))):
+        shown = [
+            f"{np.median(worst):.4f} (99 %: {np.quantile(worst, 0.99):.3f})"
+            for worst in (at[:, columns].max(axis=1), after[:, columns].max(axis=1))
+        ]
+        lines.append(f"| {name} | {' | '.join(shown)} |")
+    return "\n".join(lines)
+
+
+def table(rows: list[Row]) -> str:
+    """Success of the seeds of each arm."""
+    lines = ["| arm | steps | seeds | success of each seed | mean return |", "|---|---|---|---|---|"]
+    for arm, steps in dict.fromkeys((row["arm"], row["steps"]) for row in rows):
+        own = [row for row in rows if (row["arm"], row["steps"]) == (arm, steps)]
+        success = ", ".join(f"{float(row['success']):.0%}" for row in own)
+        mean = np.mean([float(row["return_mean"]) for row in own])
+        lines.append(f"| {arm} | {int(steps):,} | {len(own)} | {success} | {mean:.0f} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
