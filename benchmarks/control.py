@@ -48,7 +48,7 @@ COSTS = {
     "random": "random",
 }
 """Cost and the objective of the encoder that it needs."""
-HORIZONS = (0.16, 0.32, 0.64, 1.0, 1.5)
+HORIZONS = (0.08, 0.16, 0.32, 0.64, 1.0, 1.5)
 COLUMNS = (
     "problem",
     "cost",

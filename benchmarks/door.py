@@ -8,13 +8,14 @@ what it looks like). They recorded observations, which lack the height of the ar
 states are reconstructed: the height follows from the position of the palm, and the velocities are central
 differences. `states` prints how far the reconstructed states are from what was recorded.
 
-The task is `AdroitHandDoorSparse-v1`, 10 for each step with an open door and -0.1 for every other; the
-algorithm is SAC with the preset `modern` and networks of 64 x 64. An episode succeeds if the door is open in
-any of its 200 steps. Each final policy plays 20 episodes. Arms and budget were fixed before a seed was run.
-Rows are added to results/rl/door.csv unit by unit; a unit is a seed of an arm.
+The task is `AdroitHandDoorSparse-v1`, 10 for each step with an open door and -0.1 for every other. The
+algorithms have the preset `modern` and networks of 64 x 64; TRPO and PPO have no replay. An episode succeeds
+if the door is open in any of its 200 steps. Each final policy plays 20 episodes. Rows are added to
+results/rl/door.csv unit by unit; a unit is a seed of an arm.
 """
 
 import itertools
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from planspace.tasks.env_state import mujoco_of
 from planspace.tasks.gymnasium import GymTask
 
 RESULTS = Path(__file__).parents[1] / "results" / "rl" / "door.csv"
-COLUMNS = ("arm", "steps", "seed", "success", "return_mean")
+COLUMNS = ("algorithm", "arm", "steps", "seed", "success", "return_mean")
 TASK = GymTask("AdroitHandDoorSparse-v1")
 SEED, NUM_SEEDS, STEPS, EPISODES, HIDDEN = 300, 5, 300_000, 20, (64, 64)
 CLOSED = -0.1 * 200
@@ -48,6 +49,8 @@ ARMS: dict[str, dict[str, Any]] = {
     "resets + z": {"resets": 0.5, "z": "augment"},
     "replay": {"replay": 0.5},
     "resets and replay": {"resets": 0.5, "replay": 0.5},
+    "reverse resets and replay": {"resets": 0.8, "reset_schedule": "reverse", "replay": 0.5},
+    "cloning and resets": {"clone": 2000, "clone_weight": 1.0, "resets": 0.5},
 }
 """Settings of `TrainConfig` that differ from those of the first arm."""
 
@@ -56,6 +59,7 @@ def main() -> None:
     """Run the units that the results do not have yet."""
     parser = make_parser(__doc__, "where demonstrations, embedding and runs are kept")
     parser.add_argument("--archive", type=Path, required=False, help="the demonstrations (.npz)")
+    parser.add_argument("--algo", default="sac", choices=("sac", "trpo", "ppo"))
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS)
     parser.add_argument("--seeds", type=int, default=NUM_SEEDS, metavar="N", help="seeds from 300")
     parser.add_argument("--steps", type=int, default=STEPS, metavar="N")
@@ -70,31 +74,27 @@ def main() -> None:
         return
     for seed in range(SEED, SEED + options.seeds):
         for arm in options.arms:
-            key = {"arm": arm, "steps": str(options.steps), "seed": str(seed)}
-            folder = options.folder / f"{arm.replace(' ', '-')}-{options.steps}-{seed}"
-            add_missing(
-                RESULTS,
-                COLUMNS,
-                rows,
-                key,
-                lambda a=arm, s=seed, f=folder: run(demos, a, s, options.steps, f),
-            )
+            if "replay" in ARMS[arm] and options.algo != "sac":
+                continue
+            key = {"algorithm": options.algo, "arm": arm, "steps": str(options.steps), "seed": str(seed)}
+            train = partial(run, options.folder, demos, key)
+            add_missing(RESULTS, COLUMNS, rows, key, train)
 
 
-def run(demos: Demos, arm: str, seed: int, steps: int, folder: Path) -> Row:
+def run(folder: Path, demos: Demos, key: Row) -> Row:
     """Train one seed of an arm, and let it play."""
-    settings = ARMS[arm]
-    algorithm = with_settings(find_algorithm("sac", "modern"), hidden=HIDDEN, critic_hidden=HIDDEN)
-    config = TrainConfig(algorithm, num_seeds=1, seed=seed, steps=steps, **settings)
-    uses = any(name in settings for name in ("resets", "replay", "clone"))
+    settings, seed = ARMS[key["arm"]], int(key["seed"])
+    algorithm = with_settings(find_algorithm(key["algorithm"], "modern"), hidden=HIDDEN, critic_hidden=HIDDEN)
+    config = TrainConfig(algorithm, num_seeds=1, seed=seed, steps=int(key["steps"]), **settings)
+    out = folder / "-".join(key.values()).replace(" ", "-")
     ps.train_policies(
         TASK,
         config,
-        embedding=embedding_of(demos, folder.parent) if "z" in settings else None,
-        plans=demos if uses else None,
-        out=folder,
+        embedding=embedding_of(demos, folder) if "z" in settings else None,
+        plans=demos if config.uses_of_plans else None,
+        out=out,
     )
-    returns, _ = play(ps.load_policy(folder, seed), EPISODES, 0)
+    returns, _ = play(ps.load_policy(out, seed), EPISODES, 0)
     return {"success": f"{(returns > CLOSED + 1).mean():.2f}", "return_mean": f"{returns.mean():.1f}"}
 
 
@@ -198,12 +198,17 @@ def exactness(demos: Demos, archive: Path) -> str:
 
 def table(rows: list[Row]) -> str:
     """Success of the seeds of each arm."""
-    lines = ["| arm | steps | seeds | success of each seed | mean return |", "|---|---|---|---|---|"]
-    for arm, steps in dict.fromkeys((row["arm"], row["steps"]) for row in rows):
-        own = [row for row in rows if (row["arm"], row["steps"]) == (arm, steps)]
+    lines = [
+        "| algorithm | arm | steps | seeds | success of each seed | mean return |",
+        "|---|---|---|---|---|---|",
+    ]
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["algorithm"], row["arm"], row["steps"]), []).append(row)
+    for (algorithm, arm, steps), own in groups.items():
         success = ", ".join(f"{float(row['success']):.0%}" for row in own)
         mean = np.mean([float(row["return_mean"]) for row in own])
-        lines.append(f"| {arm} | {int(steps):,} | {len(own)} | {success} | {mean:.0f} |")
+        lines.append(f"| {algorithm} | {arm} | {int(steps):,} | {len(own)} | {success} | {mean:.0f} |")
     return "\n".join(lines)
 
 

@@ -104,9 +104,6 @@ class Stubborn(gymnasium.Env):
     state_names = ("x",)
     observation_space, action_space = Box(-9, 9, (1,)), Box(-1, 1, (1,))
 
-    def __init__(self, render_mode: str | None = None):
-        self.render_mode = render_mode
-
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
         self.state = np.zeros(1, np.float32)
         return self.state, {}
@@ -116,7 +113,7 @@ class Stubborn(gymnasium.Env):
 
 
 def test_an_environment_that_ignores_the_state_is_refused() -> None:
-    gymnasium.register("tiny/Stubborn-v0", Stubborn, max_episode_steps=5)
+    gymnasium.register("tiny/Stubborn-v0", lambda **_: Stubborn(), max_episode_steps=5)
     demos = demos_of(("x",), np.array([[0.0], [0.5], [0.0]]), np.ones((2, 1)), 1 / 30)
     with pytest.raises(PlanspaceError, match=r"cannot start an episode at a given state: x was set to 0\.5"):
         transitions(GymTask("tiny/Stubborn-v0"), demos)
