@@ -42,6 +42,8 @@ TASK = GymTask("AdroitHandDoorSparse-v1")
 SEED, NUM_SEEDS, STEPS, EPISODES, HIDDEN = 300, 5, 300_000, 20, (64, 64)
 CLOSED = -0.1 * 200
 """Return of an episode whose door stays closed."""
+INITIAL_STD = 0.1
+"""Noise with which policies of TRPO and PPO begin in arms that clone."""
 ARMS: dict[str, dict[str, Any]] = {
     "scratch": {},
     "cloning": {"clone": 2000, "clone_weight": 1.0},
@@ -84,7 +86,9 @@ def main() -> None:
 def run(folder: Path, demos: Demos, key: Row) -> Row:
     """Train one seed of an arm, and let it play."""
     settings, seed = ARMS[key["arm"]], int(key["seed"])
-    algorithm = with_settings(find_algorithm(key["algorithm"], "modern"), hidden=HIDDEN, critic_hidden=HIDDEN)
+    noise = {"initial_std": INITIAL_STD} if "clone" in settings and key["algorithm"] != "sac" else {}
+    algorithm = find_algorithm(key["algorithm"], "modern")
+    algorithm = with_settings(algorithm, hidden=HIDDEN, critic_hidden=HIDDEN, **noise)
     config = TrainConfig(algorithm, num_seeds=1, seed=seed, steps=int(key["steps"]), **settings)
     out = folder / "-".join(key.values()).replace(" ", "-")
     ps.train_policies(

@@ -19,6 +19,7 @@ from planspace.rl.config import TrainConfig, with_settings
 from planspace.rl.critic import LinearCritic, MLPCritic, features
 from planspace.rl.observe import Observer
 from planspace.rl.policy import UpdateInfo
+from planspace.seams import plain_settings
 from planspace.tasks.catalog import TASKS
 
 from .test_rollout import roll
@@ -118,3 +119,10 @@ def test_a_wider_network_has_at_least_as_many_parameters(arm: Arm) -> None:
     assert isinstance(state.critic, MLPCritic)
     for network in (state.policy.mean, state.critic.network):
         assert sum(x.size for x in jax.tree.leaves(network)) == 1629
+
+
+@pytest.mark.parametrize("std", [1.0, 0.2])
+def test_a_new_policy_has_the_noise_of_the_settings(std: float, arm: Arm) -> None:
+    policy = new_agent(OnPolicy(initial_std=std), arm, key=jr.key(0)).policy
+    np.testing.assert_allclose(np.exp(policy.log_std), [std], rtol=1e-6)
+    assert ("initial_std" in plain_settings(OnPolicy(initial_std=std))) == (std != 1.0)

@@ -70,6 +70,7 @@ def test_settings_of_version_0_1_0_are_read() -> None:
     [
         (("trpo", "paper"), {"discount": 5.0}, "`discount` must be between 0 and 1, got 5.0."),
         (("trpo", "paper"), {"entropy_reward": -1.0}, "`entropy_reward` must be at least 0 and finite"),
+        (("ppo", "modern"), {"initial_std": 0.0}, "`initial_std` must be above 0 and finite"),
         (("trpo", "paper"), {"max_kl": 0.0}, "`max_kl` must be above 0 and finite, got 0.0."),
         (("trpo", "paper"), {"backtrack_ratio": 1.0}, "`backtrack_ratio` must be above 0 and below 1"),
         (("ppo", "paper"), {"gae_lambda": -0.1}, "`gae_lambda` must be between 0 and 1, got -0.1."),

@@ -75,7 +75,12 @@ def new_agent(
     hidden = matched(settings.hidden, num_policy, num_policy + settings.match_z, arm.num_actions)
     critic_hidden = matched(settings.critic_hidden, num_critic, num_critic + settings.match_z, 1)
     policy = GaussianPolicy(
-        num_policy, arm.num_actions, hidden=hidden, layer_norm=settings.layer_norm, key=key
+        num_policy,
+        arm.num_actions,
+        hidden=hidden,
+        layer_norm=settings.layer_norm,
+        std=settings.initial_std,
+        key=key,
     )
     return AgentState(
         policy=policy,

@@ -18,7 +18,7 @@ UNIT_ENTROPY = 0.5 * math.log(2 * math.pi * math.e)
 
 
 class GaussianPolicy(eqx.Module):
-    """pi(a|o) = N(mean(o), exp(log_std)^2); log_std is 0 at first."""
+    """pi(a|o) = N(mean(o), exp(log_std)^2)."""
 
     mean: MLP
     log_std: Float[Array, " action"]
@@ -30,11 +30,12 @@ class GaussianPolicy(eqx.Module):
         *,
         hidden: tuple[int, ...] = (32, 32),
         layer_norm: bool = False,
+        std: float = 1.0,
         key: Key[Array, ""],
     ):
-        """Draw the weights."""
+        """Draw the weights; `std` is the first standard deviation of every action."""
         self.mean = MLP((num_obs, *hidden, num_actions), layer_norm=layer_norm, key=key)
-        self.log_std = jnp.zeros(num_actions)
+        self.log_std = jnp.full(num_actions, math.log(std), jnp.float32)
 
     def __call__(self, obs: Float[Array, " obs"]) -> DiagonalGaussian:
         """Distribution of actions for one observation."""

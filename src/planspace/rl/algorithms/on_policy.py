@@ -1,10 +1,11 @@
 """Hyper-parameters that TRPO and PPO share. Imports no JAX, so that `--help` answers at once."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from planspace.errors import UsageError, check_setting, unknown
+from planspace.seams import unset_if
 
 CriticName = Literal["linear", "mlp"]
 
@@ -36,6 +37,9 @@ class OnPolicy:
     """Count the value of the state at the time limit; the 2020 runs counted nothing beyond it."""
     entropy_reward: float = 0.0
     """Reward per nat of the policy's entropy, without a gradient."""
+    initial_std: float = field(default=1.0, metadata=unset_if(1.0))
+    """Standard deviation of the policy's actions before training, in units of the control. A policy that
+    clones plans needs less noise than one that explores from nothing."""
 
     def __post_init__(self) -> None:
         """Check names and sizes.
@@ -53,6 +57,8 @@ class OnPolicy:
         for name in ("match_z", "entropy_reward"):
             value = getattr(self, name)
             check_setting(name, value, 0 <= value < math.inf, "at least 0 and finite")
+        std = self.initial_std
+        check_setting("initial_std", std, 0 < std < math.inf, "above 0 and finite")
 
 
 TRPO_2020 = OnPolicy()
