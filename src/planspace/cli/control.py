@@ -41,7 +41,7 @@ class Control:
     """Steer a robot to its goal by looking ahead, with the distance in z as the cost.
 
     No policy is trained and no reward is used: for each control, many candidates are simulated for a fraction
-    of a second, and what comes nearest to the goal in z is applied.
+    of a second, and a mean is applied in which those that come nearest to the goal in z weigh most.
     """
 
     problem: Positional[
