@@ -113,8 +113,8 @@ def table(rows: list[dict[str, str]]) -> str:
     """Success of each cost, one column a horizon."""
     horizons = sorted({row["horizon_s"] for row in rows}, key=float)
     lines = [
-        f"| problem | cost | regulator | {' | '.join(f'{h} s' for h in horizons)} |",
-        f"|---|---|---|{'---|' * len(horizons)}",
+        f"| problem | cost | {' | '.join(f'{h} s' for h in horizons)} |",
+        f"|---|---|{'---|' * len(horizons)}",
     ]
     cells = {(r["problem"], r["cost"], r["regulator"], r["horizon_s"]): r["success"] for r in rows}
     order = {name: place for place, name in enumerate((*PROBLEMS, *COSTS))}
@@ -123,7 +123,7 @@ def table(rows: list[dict[str, str]]) -> str:
     ):
         shown = [cells.get((problem, cost, regulator, h)) for h in horizons]
         values = " | ".join("" if value is None else f"{float(value):.0%}" for value in shown)
-        lines.append(f"| {problem} | {cost} | {'yes' if regulator == 'True' else 'no'} | {values} |")
+        lines.append(f"| {problem} | {cost}{'' if regulator == 'True' else ', no regulator'} | {values} |")
     return "\n".join(lines)
 
 
