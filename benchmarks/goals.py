@@ -138,7 +138,8 @@ def table(rows: list[Row]) -> str:
             steps, last = steps_to_success(own), max(int(row["step"]) for row in own)
             end = [float(row["success"]) for row in own if int(row["step"]) == last]
             middle, low, high = (
-                f"{x:,.0f}" if np.isfinite(x) else "never" for x in (np.median(steps), steps.min(), steps.max())
+                f"{x:,.0f}" if np.isfinite(x) else "never"
+                for x in (np.median(steps), steps.min(), steps.max())
             )
             lines.append(
                 f"| {algorithm} | {reward} | {arm} | {middle} ({low}, {high}) | "
