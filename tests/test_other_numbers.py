@@ -111,6 +111,8 @@ def test_table_of_ways_to_use_plans() -> None:
     [
         ("control_ilqr", "control.md"),
         ("goals", "training.md"),
+        ("control", "control.md"),
+        ("shaping_scales", "appendix/training.md"),
     ],
 )
 def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
