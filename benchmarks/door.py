@@ -6,7 +6,7 @@
 The archive holds the demonstrations that were released with DAPG as arrays (docs/howto/demonstrations.md says
 what it looks like). They recorded observations, which lack the height of the arm and all velocities. The
 states are reconstructed: the height follows from the position of the palm, and the velocities are central
-differences. `states` prints how far the reconstructed states are from what was recorded.
+differences. `--states` prints how far the reconstructed states are from what was recorded.
 
 The task is `AdroitHandDoorSparse-v1`, 10 for each step with an open door and -0.1 for every other. The
 algorithms have the preset `modern` and networks of 64 x 64; TRPO and PPO have no replay. An episode succeeds
@@ -60,7 +60,7 @@ ARMS: dict[str, dict[str, Any]] = {
 def main() -> None:
     """Run the units that the results do not have yet."""
     parser = make_parser(__doc__, "where demonstrations, embedding and runs are kept")
-    parser.add_argument("--archive", type=Path, required=False, help="the demonstrations (.npz)")
+    parser.add_argument("--archive", type=Path, help="the demonstrations (.npz)")
     parser.add_argument("--algo", default="sac", choices=("sac", "trpo", "ppo"))
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS)
     parser.add_argument("--seeds", type=int, default=NUM_SEEDS, metavar="N", help="seeds from 300")
