@@ -15,8 +15,8 @@ Rows are added to results/rl/shaping.csv arm by arm.
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from csv_rows import Row, has_row, make_parser, parse, write_rows
+from uses import last_evaluation, scores_of
 
 import planspace as ps
 from planspace.rl.config import TrainConfig
@@ -68,9 +68,9 @@ def table(rows: list[Row]) -> str:
     ]
     found = {arm: own for arm in ARMS if (own := [row for row in rows if arm_of(row) == arm])}
     for (name, scale), own in found.items():
-        scores = scores_of(own)
+        scores = last_evaluation(scores_of(own))
         last = scores.returns[-1]
-        verdict = "" if (name, scale) == NONE else verdict_of(scores, scores_of(found[NONE]))
+        verdict = "" if (name, scale) == NONE else verdict_of(scores, last_evaluation(scores_of(found[NONE])))
         shown = f"{scale:g}" if scale else ""
         lines.append(
             f"| {name} | {shown} | {float(iqm(last)):.0f} ({last.min():.0f}, {last.max():.0f}) | {verdict} |"
@@ -81,14 +81,6 @@ def table(rows: list[Row]) -> str:
 def arm_of(row: Row) -> tuple[str, float]:
     """Shaping and scale of a row."""
     return row["shaping"], float(row["scale"])
-
-
-def scores_of(rows: list[Row]) -> Scores:
-    """The last evaluation of each seed."""
-    last = max(int(row["step"]) for row in rows)
-    own = [row for row in rows if int(row["step"]) == last]
-    returns = np.array([[float(row["eval_return"]) for row in own]])
-    return Scores(tuple(int(row["seed"]) for row in own), np.array([last]), returns, 0)
 
 
 def verdict_of(scores: Scores, base: Scores) -> str:
