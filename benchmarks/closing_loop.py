@@ -7,7 +7,7 @@ demonstrations, and trains again on all of them. `--learn arrivals` adds the epi
 `--learn visits` adds a plan from a random state of each episode, or, where it did not arrive, from its last
 state. After every round the same 20 starts are controlled. Rows are added to
 results/control/closing_loop.csv; what the folder holds is not made again. `--table` prints the table of
-docs/control.md.
+docs/appendix/control.md.
 """
 
 import itertools

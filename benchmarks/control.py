@@ -11,7 +11,7 @@ the swing-up at 0.32 s and on the acrobot, from other starts (seed 5). No reward
 `reward`.
 
 Plans, encoders and episodes are kept in the folder, so the same command goes on. Rows are added to
-results/control/costs.csv cell by cell. `--table` prints the table of docs/control.md.
+results/control/costs.csv cell by cell. `--table` prints the table of docs/appendix/control.md.
 """
 
 from functools import partial

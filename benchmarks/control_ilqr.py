@@ -5,7 +5,7 @@
 Starts and lengths of episodes are those of `control.py`; embeddings are the ready-made ones. Each row is 20
 starts. `rounds` is 0 without iLQR, and `seconds` the median time of a control step on one core.
 
-Rows are added to results/control/ilqr.csv. `--table` prints the table of docs/control.md.
+Rows are added to results/control/ilqr.csv. `--table` prints the table of docs/appendix/control.md.
 """
 
 from functools import partial

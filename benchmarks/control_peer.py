@@ -9,7 +9,7 @@ step of 0.04 s and the regulator at the goal, as for the other costs. 10 candida
 Its own program plans as often as it can, so this measures its settings and not its program. Controls count
 as fractions of their limits.
 
-Rows are added to results/control/peer.csv. `--table` prints the table of docs/control.md.
+Rows are added to results/control/peer.csv. `--table` prints the table of docs/appendix/control.md.
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@
 
 For each number of plans, the three commands `planspace plan`, `planspace embed` and `planspace control` run
 one after another in an empty folder on the swing-up, at default settings but for those shown, and are timed.
-Rows are added to results/control/plans.csv. `--table` prints the table of docs/control.md.
+Rows are added to results/control/plans.csv. `--table` prints the table of docs/appendix/control.md.
 """
 
 import json

@@ -56,7 +56,8 @@ def test_tables_of_pixels() -> None:
 def test_plans_carried_out() -> None:
     with open(RESULTS / "control" / "plan_returns.csv") as file:
         found = list(csv.DictReader(file))
-    rows = {tuple(row) for row in table_rows((RESULTS.parent / "docs" / "control.md").read_text())}
+    page = RESULTS.parent / "docs" / "appendix" / "control.md"
+    rows = {tuple(row) for row in table_rows(page.read_text())}
     for row in found:
         held = f"{float(row['held']):.0%}"
         spread = f"{row['return_worst']}, {row['return_best']}"
@@ -109,9 +110,9 @@ def test_table_of_ways_to_use_plans() -> None:
 @pytest.mark.parametrize(
     ("name", "page"),
     [
-        ("control_ilqr", "control.md"),
-        ("goals", "training.md"),
-        ("control", "control.md"),
+        ("control_ilqr", "appendix/control.md"),
+        ("goals", "appendix/training.md"),
+        ("control", "appendix/control.md"),
         ("shaping_scales", "appendix/training.md"),
     ],
 )

@@ -46,7 +46,7 @@ class ControlConfig:
     """Weight of the distance at the end of the horizon, relative to the mean distance along it."""
     ilqr_rounds: int = field(default=0, metadata=unset_if(0))
     """Rounds of iLQR that refine the controls after the samples, for a cost that is a distance. It pays with
-    few samples (docs/control.md)."""
+    few samples (docs/appendix/control.md)."""
     effort_weight: float = 0.01
     """Cost of the largest control along the whole horizon, relative to the mean distance from where
     episodes start."""
