@@ -195,15 +195,15 @@ def measure_returns(encoder: ImageEncoder, cell: Row, folder: Path, episodes: in
     named = {name: cell[name] for name in cell if name != "target"} | {"episodes": str(episodes)}
     for reads, eyes in ((cell["target"], encoder), ("states", None)):
         own = named if eyes else dict.fromkeys(named, "") | {"episodes": str(episodes)}
+        joined = "kalman" if eyes else ""
         for policy_seed in POLICY_SEEDS:
-            key = {"acts": "policy", "reads": reads, "filter": "", "policy_seed": str(policy_seed), **own}
+            key = {"acts": "policy", "reads": reads, "filter": joined, "policy_seed": str(policy_seed), **own}
 
             def of_policy(policy_seed: int = policy_seed, eyes: ImageEncoder | None = eyes) -> Row:
                 returns, _ = play(load_policy(NAME, policy_seed), episodes, FIRST_START, encoder=eyes)
                 return {"return_mean": f"{returns.mean():.1f}", "return_worst": f"{returns.min():.1f}"}
 
             add("returns.csv", RETURNS, key, of_policy)
-        joined = "kalman" if eyes else ""
         key = {"acts": "control", "reads": reads, "filter": joined, "policy_seed": "", **own}
         out = folder / "-".join(("control", reads, joined, *own.values())).replace(" ", "-")
 

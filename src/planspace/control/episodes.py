@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from planspace.control.controller import Controller
-from planspace.control.plant import Plant
-from planspace.control.state_filter import StateFilter
 from planspace.embed.pixels.sight import Sight
 from planspace.physics.simulator import Simulator
+from planspace.plan.state_filter import StateFilter
 from planspace.tasks.task import Task
 
 LAST_S = 1.0
@@ -77,15 +76,18 @@ def run_episode(
     task = plant.task
     starts, targets = task.sample_starts(1, np.random.default_rng((seed, index)))
     controller.reset((seed, index, 1), targets[0])
-    eyes = None if sight is None else _FilteredSight(plant, sight, np.random.default_rng((seed, index, 2)))
+    if sight is not None:
+        error, motion = sight.state_error, (plant.model, plant.space, plant.physics_steps)
+        state_filter = None if error is None else StateFilter(*motion, error)
+        sight.restart(np.random.default_rng((seed, index, 2)), state_filter)
     simulator = plant.simulator(1)
     simulator.reset(starts)
     states, controls, rewards, regulated, seconds = [starts[0]], [], [], [], []
     for _ in range(num_steps or task.horizon):
         began = time.perf_counter()
-        control = controller(states[-1] if eyes is None else eyes.see(states[-1]))
-        if eyes is not None:
-            eyes.applied(control)
+        control = controller(states[-1] if sight is None else sight.see(states[-1])[1])
+        if sight is not None:
+            sight.applied(control)
         seconds.append(time.perf_counter() - began)
         after, reward, terminated = _hold(simulator, task, states[-1], control, targets)
         if simulator.diverged()[0]:
@@ -127,22 +129,3 @@ def _hold(
             return after[0], total, True
         now = after
     return now[0], total, False
-
-
-class _FilteredSight:
-    """What the controller sees in one episode from pictures."""
-
-    def __init__(self, plant: Plant, sight: Sight, rng: np.random.Generator):
-        self._sight = sight
-        self._filter = None if sight.state_error is None else StateFilter(plant, sight.state_error)
-        sight.restart(rng)
-
-    def see(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " state"]:
-        """Draw the present state, and return the estimate of it."""
-        estimate = self._sight.see(state)[1]
-        return estimate if self._filter is None else self._filter(estimate)
-
-    def applied(self, control: Float[np.ndarray, " control"]) -> None:
-        """Take note of the control that is applied."""
-        if self._filter is not None:
-            self._filter.predict(control)

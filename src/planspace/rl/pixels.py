@@ -11,6 +11,7 @@ from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.sight import Sight
 from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import UsageError
+from planspace.plan.state_filter import StateFilter
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.task import Task
@@ -19,8 +20,9 @@ from planspace.tasks.task import Task
 class PixelObservations:
     """The observations of a policy that was trained on states, computed from pictures.
 
-    z is the encoder's. Where the policy observes the state, it gets the encoder's estimate of it; the target
-    of a task with targets is not read from pictures.
+    Where the policy observes the state, it gets the encoder's estimate of it. If the errors of the estimates
+    are known, a filter joins them, and z is that of the filtered state; otherwise z is the encoder's. The
+    target of a task with targets is not read from pictures.
     """
 
     def __init__(self, policy: Policy, task: AnyTask, encoder: ImageEncoder):
@@ -41,12 +43,20 @@ class PixelObservations:
                 f"encoder with --teacher {policy.embedding}."
             )
         model, space = task.compile()
-        self._sight = Sight(encoder, model, space, task.frame_skip * float(model.opt.timestep))
+        num_steps = task.action_repeat * task.frame_skip
+        self._motion = model, space, num_steps
+        self._sight = Sight(encoder, model, space, num_steps * float(model.opt.timestep))
         self._task, self._about = task, about
 
     def restart(self, seed: int) -> None:
         """Begin an episode."""
-        self._sight.restart(np.random.default_rng((seed, 1)))
+        error = self._sight.state_error
+        state_filter = None if error is None else StateFilter(*self._motion, error)
+        self._sight.restart(np.random.default_rng((seed, 1)), state_filter)
+
+    def applied(self, action: Float[np.ndarray, " action"]) -> None:
+        """Take note of the action that is applied."""
+        self._sight.applied(action.astype(float))
 
     def __call__(self, state: Float[np.ndarray, " state"], env: Any) -> Float[np.ndarray, " obs"]:
         """Draw the present state, and return what the policy observes.

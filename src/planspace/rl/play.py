@@ -120,6 +120,8 @@ def play(
             seen.restart(seed + i)
         while not ended:
             action = policy(obs if seen is None else seen(states[-1], env.unwrapped))
+            if seen is not None:
+                seen.applied(action)
             obs, reward, terminated, truncated, info = env.step(action)
             returns[i] += float(reward)
             states.append(info["state"])

@@ -39,6 +39,33 @@ def test_an_episode_looks_as_the_environment_shows_it(opengl: str, embedding: Em
     sight.close(), env.close()
 
 
+class Halving:
+    """A filter that halves each estimate, and remembers the controls."""
+
+    def __init__(self) -> None:
+        self.controls: list[np.ndarray] = []
+
+    def __call__(self, estimate: np.ndarray) -> np.ndarray:
+        return estimate / 2
+
+    def predict(self, control: np.ndarray) -> None:
+        self.controls.append(control)
+
+
+def test_with_a_filter_z_is_that_of_the_filtered_state(opengl: str, embedding: Embedding) -> None:
+    encoder, state = untrained(embedding), np.array([0.1, 0.2, 0.3, 0.4])
+    sight = Sight(encoder, *find_task("cartpole-swingup").compile(), 0.04)
+    sight.restart(np.random.default_rng(0))
+    estimate = sight.see(state)[1]
+    half = Halving()
+    sight.restart(np.random.default_rng(0), half)
+    z, seen = sight.see(state)
+    np.testing.assert_array_equal(seen, estimate / 2)
+    np.testing.assert_array_equal(z, embedding.encode(estimate / 2))
+    sight.applied(PUSH)
+    np.testing.assert_array_equal(half.controls, [PUSH])
+
+
 def test_strange_pictures_are_said(opengl: str, embedding: Embedding) -> None:
     sight = Sight(untrained(embedding, strict=True), *find_task("cartpole-swingup").compile(), 0.04)
     with pytest.warns(UserWarning, match="does not look like those of the training: distance"):
@@ -71,6 +98,28 @@ def test_a_policy_sees_only_pictures(opengl: str, tmp_path: Path, capsys: pytest
     encoder.save(tmp_path / "encoder")
     assert main(["play", "cartpole-swingup", "--pixels", str(tmp_path / "encoder"), "--episodes", "1"]) == 0
     assert "1 episode of cartpole-swingup" in capsys.readouterr().out
+
+
+def test_what_a_policy_sees_is_filtered_if_errors_are_known(
+    opengl: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, made = load_policy("cartpole-swingup"), list[tuple[tuple, Halving]]()
+
+    def make_filter(*arguments: object) -> Halving:
+        made.append((arguments, Halving()))
+        return made[-1][1]
+
+    monkeypatch.setattr("planspace.rl.pixels.StateFilter", make_filter)
+    encoder = untrained(planspace.load_embedding("cartpole-swingup"))
+    _, unfiltered = play(policy, 1, 7, encoder=encoder)
+    assert made == []
+    _, seen = play(policy, 2, 7, encoder=replace(encoder, state_error=np.arange(4.0)))
+    assert (seen.controls[:20] != unfiltered.controls[:20]).any()
+    for i, ((_, _, num_steps, errors), state_filter) in enumerate(made):
+        assert num_steps == find_task("cartpole-swingup").frame_skip
+        np.testing.assert_array_equal(errors, np.arange(4.0))
+        np.testing.assert_array_equal(state_filter.controls, seen.episode(i).controls)
+    assert len(made) == 2
 
 
 def test_another_teacher_is_refused(embedding: Embedding) -> None:

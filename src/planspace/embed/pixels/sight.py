@@ -1,6 +1,7 @@
 """What a camera tells during an episode: z and the state, from the last few pictures."""
 
 import warnings
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -14,6 +15,19 @@ from planspace.physics.space import StateSpace
 STRANGE = 1.5
 """Distance from the training pictures above which a warning is given."""
 STEP_TOLERANCE = 1e-6
+
+
+@runtime_checkable
+class Filter(Protocol):
+    """Joins the estimates of an episode, such as `planspace.plan.state_filter.StateFilter`."""
+
+    def __call__(self, estimate: Float[np.ndarray, " state"]) -> Float[np.ndarray, " state"]:
+        """Return the state that all estimates so far suggest."""
+        ...
+
+    def predict(self, control: Float[np.ndarray, " control"]) -> None:
+        """Take note of the control that is applied next."""
+        ...
 
 
 class Sight:
@@ -38,6 +52,7 @@ class Sight:
         check_sight(encoder, space, step_s)
         self.encoder = encoder
         self._order = [encoder.teacher.inputs.names.index(name) for name in space.names]
+        self._filter: Filter | None = None
         self._pictures = Pictures(model, space, encoder.pictures)
         self._frames: UInt8[np.ndarray, "frame height width 3"] | None = None
         self._look: Look | None = None
@@ -48,18 +63,23 @@ class Sight:
         error = self.encoder.state_error
         return None if error is None else error[self._order]
 
-    def restart(self, rng: np.random.Generator) -> None:
+    def restart(self, rng: np.random.Generator, state_filter: Filter | None = None) -> None:
         """Begin an episode; the first picture will fill the whole stack.
 
         Args:
             rng: draws colours and camera, if the encoder was trained with such.
+            state_filter: joins the estimates of this episode; None takes each as it is.
         """
         self._frames, self._look = None, self._pictures.draw_look(rng)
+        self._filter = state_filter
 
     def see(
         self, state: Float[np.ndarray, " state"]
     ) -> tuple[Float[np.ndarray, " z"], Float[np.ndarray, " state"]]:
-        """Draw the present state, and return z and the state that the last few pictures show."""
+        """Draw the present state, and return z and the state that the pictures so far show.
+
+        With a filter, the state is the filtered one, and z is the teacher's z of it.
+        """
         picture = self._pictures.of_states(state[None], self._look)
         is_first = self._frames is None
         if self._frames is None:
@@ -70,7 +90,16 @@ class Sight:
         if is_first:
             self._check_looks(stack)
         z, seen = self.encoder.read(stack)
-        return z, seen[self._order]
+        if self._filter is None:
+            return z, seen[self._order]
+        filtered = self._filter(seen[self._order])
+        seen[self._order] = filtered
+        return self.encoder.teacher.encode(seen), filtered
+
+    def applied(self, control: Float[np.ndarray, " control"]) -> None:
+        """Take note of the control that is applied until the next picture."""
+        if self._filter is not None:
+            self._filter.predict(control)
 
     def close(self) -> None:
         """Free the memory of the graphics library."""

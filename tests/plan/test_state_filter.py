@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planspace.control.plant import Plant
-from planspace.control.state_filter import StateFilter
+from planspace.plan.state_filter import StateFilter
 
 NOISE = {
     "cartpole-swingup": (0.03, 0.05, 0.4, 1.2),
@@ -13,10 +13,14 @@ NOISE = {
 """Errors of the estimates of a state."""
 
 
+def filter_of(plant: Plant, noise: np.ndarray) -> StateFilter:
+    return StateFilter(plant.model, plant.space, plant.physics_steps, noise)
+
+
 def errors_of(plant: Plant, noise: np.ndarray, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Errors of estimates and of filtered estimates along a motion with random controls [step, tangent]."""
     rng, simulator, space = np.random.default_rng(0), plant.simulator(1), plant.space
-    state, filtered = StateFilter(plant, noise), []
+    state, filtered = filter_of(plant, noise), []
     now, control = plant.task.sample_starts(1, rng)[0], np.zeros(plant.model.nu)
     simulator.reset(now)
     for step in range(num_steps):
@@ -51,8 +55,20 @@ def test_exact_estimates_stay_exact() -> None:
 def test_one_step_is_the_textbook_one() -> None:
     """For one scalar of a diagonal problem: variance p before, r of the estimate, gain p / (p + r)."""
     plant, errors = Plant.find("cartpole-swingup"), np.array(NOISE["cartpole-swingup"])
-    state = StateFilter(plant, errors)
+    state = filter_of(plant, errors)
     first, second = np.zeros(4), np.array([0.1, 0.2, 0.3, 0.4])
     state(first)
     np.testing.assert_allclose(state(second), second / 2, rtol=1e-12)  # equal variances
     np.testing.assert_allclose(state(np.zeros(4)), second / 3, rtol=1e-12)
+
+
+def test_a_control_beyond_its_limits_acts_like_the_limit() -> None:
+    plant = Plant.find("cartpole-swingup")
+    high = plant.simulator(1).control_high
+    found = []
+    for control in (high, 100 * high):
+        state = filter_of(plant, np.full(4, 1e-3))
+        state(np.zeros(4))
+        state.predict(control)
+        found.append(state(np.zeros(4)))
+    np.testing.assert_array_equal(*found)
