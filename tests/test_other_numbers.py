@@ -71,14 +71,14 @@ def test_returns_from_pixels() -> None:
     with open(RESULTS / "pixels" / "returns.csv") as file:
         found = list(csv.DictReader(file))
     for row in found:
-        reads = f"`{row['reads']}`" if row["rounds"] else "states"
-        shown = [r for r in rows if r[:3] == (reads, row["rounds"], row["pictures"]) and len(r) == 10]
+        reads = f"`{row['reads']}`" if row["pictures"] else "states"
+        key = (reads, row["rounds"], row["pictures"], row["filter"].capitalize())
+        (shown,) = [r for r in rows if r[:4] == key and len(r) == 9]
         if row["acts"] == "policy":
-            assert any(r[3 + int(row["policy_seed"])] == row["return_mean"] for r in shown), row
+            assert shown[4 + int(row["policy_seed"])] == row["return_mean"]
         else:
-            columns = slice(8, 10) if row["filter"] else slice(6, 8)
-            assert any(list(r[columns]) == [row["return_mean"], row["success"]] for r in shown), row
-    assert len(found) >= 20
+            assert list(shown[7:]) == [row["return_mean"], row["success"]]
+    assert len(found) >= 26
 
 
 @pytest.mark.usefixtures("benchmarks")

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import lsq_linear
 
 from planspace.physics.activations import INTEGRATOR
@@ -22,6 +22,8 @@ NUDGE = 1e-6
 """Half of the width of the differences. At a bound, where MuJoCo clips them, controls and activations are
 moved only inwards."""
 EQUILIBRIUM_ITERATIONS = 5
+END_REPEATS = 200
+"""Steps for which the last row of a trajectory is repeated."""
 
 
 def along(
@@ -98,11 +100,47 @@ def tracking_gains(
     count, n, m = b.shape
     gains, value = np.zeros((count, m, n)), np.diag(state_cost)
     for k in reversed(range(count)):
-        pull = b[k].T @ value
-        with contextlib.suppress(np.linalg.LinAlgError):
-            gains[k] = np.linalg.solve(np.diag(control_cost) + pull @ b[k], pull @ a[k])
-        value = np.diag(state_cost) + a[k].T @ value @ (a[k] - b[k] @ gains[k])
+        gains[k], value = _riccati_step(a[k], b[k], value, state_cost, control_cost)
     return gains
+
+
+def tracking_gains_of_rows(
+    a: Float[np.ndarray, "row tangent tangent"],
+    b: Float[np.ndarray, "row tangent control"],
+    following: Int[np.ndarray, " row"],
+    state_cost: Float[np.ndarray, " tangent"],
+    control_cost: Float[np.ndarray, " control"],
+) -> Float[np.ndarray, "row control tangent"]:
+    """Gains as of `tracking_gains`, where the row that follows another is not always the next one.
+
+    At the end of a trajectory, the value is that of repeating its last row, so that its gain is one that
+    holds its end.
+
+    Args:
+        a: change of the next state per change of each state.
+        b: change of the next state per change of each control.
+        following: the row that a step from each row leads to, a later one; -1 where the trajectory ends.
+        state_cost: cost of the square of each number of a tangent.
+        control_cost: cost of the square of each control.
+    """
+    count, n, m = b.shape
+    gains, values = np.zeros((count, m, n)), np.zeros((count, n, n))
+    for k in reversed(range(count)):
+        value = np.diag(state_cost) if following[k] < 0 else values[following[k]]
+        for _ in range(END_REPEATS if following[k] < 0 else 1):
+            gains[k], value = _riccati_step(a[k], b[k], value, state_cost, control_cost)
+        values[k] = value
+    return gains
+
+
+def _riccati_step(
+    a: np.ndarray, b: np.ndarray, value: np.ndarray, state_cost: np.ndarray, control_cost: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The gain of a step, and the value before it; the gain is zero where there is no solution."""
+    gain, pull = np.zeros(b.T.shape), b.T @ value
+    with contextlib.suppress(np.linalg.LinAlgError):
+        gain = np.linalg.solve(np.diag(control_cost) + pull @ b, pull @ a)
+    return gain, np.diag(state_cost) + a.T @ value @ (a - b @ gain)
 
 
 def equilibrium_control(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Key
 from planspace.rl.arm import Arm
 
 MINIBATCH, RATE = 256, 1e-3
-"""Rows of a minibatch, and learning rate of Adam."""
+"""Rows of a minibatch, and the first learning rate of Adam, which decays to 0 along a cosine."""
 PENALTY_ROWS = 512
 """Rows from which the penalty of one update of TRPO or PPO is computed."""
 
@@ -70,7 +70,7 @@ def imitate(
         num_steps: number of gradient steps.
         key: random key of the minibatches.
     """
-    adam = optax.adam(RATE)
+    adam = optax.adam(optax.cosine_decay_schedule(RATE, num_steps))
 
     def step(carry: tuple, step_key: Key[Array, ""]) -> tuple[tuple, None]:
         policy, state = carry

@@ -62,6 +62,10 @@ class TrainConfig:
     replay: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Fraction of each minibatch that consists of transitions along plans; for algorithms with a replay
     buffer."""
+    plan_noise: float = field(default=0.0, metadata=UNSET_IF_ZERO)
+    """Standard deviation of noise that moves states off the plans, as a fraction of that of all states of the
+    plans. With it, `replay`, `clone` and `clone_weight` also get steps from such states, with the control of
+    a linear regulator that leads back to the plan."""
     clone: int = field(default=0, metadata=UNSET_IF_ZERO)
     """Gradient steps before training that bring the policy's mean action to the controls of plans."""
     clone_weight: float = field(default=0.0, metadata=UNSET_IF_ZERO)
@@ -132,6 +136,12 @@ class TrainConfig:
         """
         weight, decay = self.clone_weight, self.clone_decay
         check_setting("clone_weight", weight, 0 <= weight < math.inf, "at least 0 and finite")
+        noise = self.plan_noise
+        check_setting("plan_noise", noise, 0 <= noise < math.inf, "at least 0 and finite")
+        if noise and not (self.replay or self.clone or weight):
+            raise UsageError(
+                f"plan_noise is {noise:g}, but no step along plans is used: set `replay` or `clone`."
+            )
         check_setting("clone_decay", decay, 0 < decay <= 1, "above 0 and at most 1")
         for name, default in (("reset_states", "plans"), ("reset_schedule", "uniform")):
             if getattr(self, name) != default and not self.resets:

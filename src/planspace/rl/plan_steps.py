@@ -8,11 +8,15 @@ from jaxtyping import Bool, Float, Int
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.errors import UsageError
+from planspace.plan.linearise import along, tracking_gains_of_rows
+from planspace.progress import progress_over
 from planspace.rl.observe import Observer
 from planspace.rl.progress import Progress
-from planspace.rl.settable import Settable
+from planspace.rl.settable import BLOCK, Settable, SettableTask
 from planspace.rl.transitions import Transitions
 
+COPIES = 10
+"""States beside each state of a plan."""
 TIME_TOLERANCE = 1e-6
 """Steps by which a plan may end too early for its last step; times are rounded."""
 
@@ -23,6 +27,7 @@ def plan_steps(
     observer: Observer,
     alive: Bool[np.ndarray, " row"],
     progress: Progress | None = None,
+    noise: float = 0.0,
 ) -> Transitions:
     """One step of the task from each state of the plans.
 
@@ -39,6 +44,7 @@ def plan_steps(
         observer: what policy and critic observe.
         alive: whether an episode goes on at each state of the plans.
         progress: computes the rewards, if they are not the task's.
+        noise: if above 0, steps beside the plans follow; see `beside_plans`.
 
     Raises:
         UsageError: no step remains.
@@ -49,10 +55,21 @@ def plan_steps(
     kept = alive[rows]
     if not kept.any():
         raise _no_steps()
-    rows, controls = rows[kept], np.concatenate(parts)[kept]
-    actions = np.clip(controls, *settable.limits).astype(np.float32)
+    rows, controls = rows[kept], np.clip(np.concatenate(parts)[kept], *settable.limits)
+    states = settable.normalise(demos.states)[rows]
+    if noise:
+        assert isinstance(settable, SettableTask), "`Plans` checks this"
+        following = next_rows(demos, rows, settable.duration)
+        beside, corrections = beside_plans(settable, states, controls, following, noise)
+        kept = settable.goes_on(beside)
+        rows = np.concatenate([rows, np.tile(rows, COPIES)[kept]])
+        states, controls = (
+            np.concatenate([states, beside[kept]]),
+            np.concatenate([controls, corrections[kept]]),
+        )
+    actions = controls.astype(np.float32)
     targets = settable.targets(_goals(demos, rows))
-    steps = settable.step(settable.normalise(demos.states)[rows], actions, targets)
+    steps = settable.step(states, actions, targets)
     kept = ~steps.diverged
     if not kept.any():
         raise _no_steps()
@@ -62,6 +79,62 @@ def plan_steps(
     if paid is not None:
         rewards = paid(before, after, targets)
     return Transitions(observe(before, targets), actions, rewards, observe(after, targets), terminated)
+
+
+def beside_plans(
+    settable: SettableTask,
+    states: Float[np.ndarray, "step state"],
+    controls: Float[np.ndarray, "step control"],
+    following: Int[np.ndarray, " step"],
+    noise: float,
+) -> tuple[Float[np.ndarray, "copy state"], Float[np.ndarray, "copy control"]]:
+    """States beside the plans, and controls that lead from there back to the plan.
+
+    The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. The
+    controls are those of a time-varying linear regulator along the plan, clipped to their limits. Its costs
+    are the squares of the distances in standard deviations of the states, and of the controls in halves of
+    their ranges.
+
+    Args:
+        settable: takes the steps of the task.
+        states: the states of the plans.
+        controls: the control of a step from each of them.
+        following: the row of `states` to which that step leads; -1 where the plan ends.
+        noise: the largest standard deviation of the noise, in standard deviations of the states.
+
+    Returns:
+        `COPIES` copies of all states, one after another.
+    """
+    simulator, rng = settable.simulator, np.random.default_rng(0)
+    space, (low, high) = simulator.space, settable.limits
+    spread = np.std(space.difference(states, states[0]), axis=0)
+    state_cost = 1.0 / np.where(spread > 0, spread, 1.0) ** 2
+    half = np.where(np.isfinite(high - low), (high - low) / 2, np.maximum(np.abs(controls).max(axis=0), 1.0))
+    blocks = [slice(first, first + BLOCK) for first in range(0, len(states), BLOCK)]
+    slopes = [
+        along(simulator, states[rows], controls[rows], settable.physics_steps)
+        for rows in progress_over(blocks, "linearise", unit="block", total=len(blocks))
+    ]
+    a, b = map(np.concatenate, zip(*slopes, strict=True))
+    gains = tracking_gains_of_rows(a, b, following, state_cost, 1.0 / half**2)
+    sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
+    moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
+    corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
+    beside = settable.normalise(space.integrate(states, moves).reshape(-1, states.shape[1]))
+    return beside, np.clip(corrected, low, high).reshape(-1, controls.shape[1])
+
+
+def next_rows(demos: Demos, rows: Int[np.ndarray, " step"], duration: float) -> Int[np.ndarray, " step"]:
+    """Which of the rows a step from each of them leads to, the nearest in time; -1 where there is none."""
+    plan = np.searchsorted(demos.offsets, rows, side="right") - 1
+    times, found = demos.times[rows], np.full(len(rows), -1)
+    for i in np.unique(plan):
+        own = np.flatnonzero(plan == i)
+        after = times[own] + duration
+        at = np.searchsorted((times[own][1:] + times[own][:-1]) / 2, after)
+        gap = np.abs(times[own][at] - after)
+        found[own] = np.where((gap < 0.5 * duration) & (at > np.arange(len(own))), own[at], -1)
+    return found
 
 
 def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "step control"]:

@@ -18,7 +18,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import plan_steps
 from planspace.rl.progress import Progress
-from planspace.rl.settable import Settable, find_settable
+from planspace.rl.settable import Settable, SettableTask, find_settable
 from planspace.rl.transitions import Transitions
 from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.task import Task
@@ -108,7 +108,8 @@ class Plans:
         """
         if not self._step_options:
             return None
-        return plan_steps(self._in_task, self.settable, self.observer, self._alive, self.progress)
+        noise = self.config.plan_noise
+        return plan_steps(self._in_task, self.settable, self.observer, self._alive, self.progress, noise)
 
     @property
     def task(self) -> AnyTask:
@@ -191,6 +192,11 @@ class Plans:
             raise UsageError(
                 f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
                 f"{found}: use --resets."
+            )
+        if self.config.plan_noise and not isinstance(self.settable, SettableTask):
+            raise UsageError(
+                f"--plan-noise linearises the model of a task of planspace, and {self.task.name} is none: "
+                "leave it out."
             )
         if self.config.replay and self.config.shaping != "none":
             raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")

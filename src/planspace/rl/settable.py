@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from planspace.envs.batch import TaskBatch
 from planspace.envs.gymnasium_env import GymTaskEnv
+from planspace.physics.simulator import Simulator
 from planspace.progress import progress_over
 from planspace.rl.task_goal import has_goal_states
 from planspace.tasks.gymnasium import AnyTask, GymTask
@@ -104,8 +105,7 @@ class SettableTask:
     @property
     def duration(self) -> float:
         """Duration of a step [s]."""
-        timestep = float(self._batch.simulator.model.opt.timestep)
-        return self.task.action_repeat * self.task.frame_skip * timestep
+        return self.physics_steps * float(self._batch.simulator.model.opt.timestep)
 
     def normalise(self, values: Float[np.ndarray, "row state"]) -> Float[np.ndarray, "row state"]:
         """The same states with quaternions of length one."""
@@ -130,7 +130,8 @@ class SettableTask:
     ) -> SetSteps:
         """Take one step from each of these states."""
         parts, batch = [], self._batch
-        for first in range(0, len(values), BLOCK):
+        blocks = range(0, len(values), BLOCK)
+        for first in progress_over(blocks, "steps of plans", unit="block", total=len(blocks)):
             rows = np.minimum(np.arange(first, first + BLOCK), len(values) - 1)  # the last is repeated
             batch.reset(values[rows], targets[rows])
             before = batch.states.copy()
@@ -138,6 +139,16 @@ class SettableTask:
             found = SetSteps(before, rewards, batch.states.copy(), terminated, diverged)
             parts.append([array[: len(values) - first] for array in found])
         return SetSteps(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulations, which every call overwrites."""
+        return self._batch.simulator
+
+    @property
+    def physics_steps(self) -> int:
+        """Physics steps in a step of the task."""
+        return self.task.action_repeat * self.task.frame_skip
 
     @cached_property
     def _batch(self) -> TaskBatch:

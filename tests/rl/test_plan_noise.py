@@ -1,0 +1,93 @@
+"""Steps beside plans, with controls that lead back to them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planspace.demos.dataset import Demos
+from planspace.envs.batch import TaskBatch
+from planspace.errors import UsageError
+from planspace.plan.linearise import END_REPEATS, tracking_gains, tracking_gains_of_rows
+from planspace.rl.config import TrainConfig
+from planspace.rl.observe import Observer
+from planspace.rl.plan_steps import COPIES, beside_plans, next_rows
+from planspace.rl.plans import Plans
+from planspace.rl.settable import SettableGym, SettableTask
+from planspace.tasks.catalog import TASKS
+from planspace.tasks.gymnasium import GymTask
+
+TASK = TASKS["cartpole-swingup"]
+CLONING = TrainConfig(num_seeds=1, clone=1)
+
+
+def plans_of(demos: Demos, noise: float) -> Plans:
+    found = Plans.of(replace(CLONING, plan_noise=noise), Observer(TASK, "raw", "none", "both"), demos)
+    assert found is not None
+    return found
+
+
+def test_gains_of_rows_are_those_of_trajectories_whose_last_row_repeats(rng: np.random.Generator) -> None:
+    a, b = np.eye(3) + 0.1 * rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3, 1))
+    costs = np.ones(3), np.full(1, 0.1)
+    gains = tracking_gains_of_rows(a, b, np.array([2, 3, 4, 5, -1, -1]), *costs)
+    for rows in ([0, 2, 4], [1, 3, 5]):  # two trajectories, whose rows alternate
+        repeated = rows + [rows[-1]] * (END_REPEATS - 1)
+        np.testing.assert_allclose(
+            gains[rows], tracking_gains(a[repeated], b[repeated], *costs)[:3], rtol=1e-9
+        )
+
+
+def test_the_next_row_is_the_nearest_in_time_of_the_same_plan(demos: Demos) -> None:
+    rows = np.concatenate([np.arange(*demos.offsets[i : i + 2]) for i in (0, 1)])
+    spacing = demos.times[1]
+    found = next_rows(demos, rows, 2 * spacing)
+    first = demos.offsets[1]
+    np.testing.assert_array_equal(found[: first - 2], np.arange(2, first))
+    np.testing.assert_array_equal(found[first - 2 : first], -1)
+    assert found[first] == first + 2
+    np.testing.assert_array_equal(next_rows(demos, rows, 0.4 * spacing), -1)  # no row but its own is near
+
+
+def test_steps_beside_plans_follow_those_along_them_and_are_the_task_s(demos: Demos) -> None:
+    along, found = plans_of(demos, 0.0).transitions(), plans_of(demos, 0.05).transitions()
+    assert along is not None and found is not None
+    count = len(along.rewards)
+    assert len(found.rewards) == (1 + COPIES) * count
+    for part, whole in zip(along, found, strict=True):
+        np.testing.assert_array_equal(part, whole[:count])
+    moves = (found.obs[count:] - np.tile(along.obs, (COPIES, 1))) / along.obs.std(axis=0)
+    assert 0.4 * 0.05 < moves.std() < 0.05 and np.abs(moves).max() > 0.1  # a uniform factor: 1/sqrt(3)
+    batch = TaskBatch(TASK, 50)
+    rows = np.random.default_rng(0).integers(count, len(found.rewards), 50)
+    batch.reset(found.obs[rows].astype(float), np.zeros((50, 0)))
+    rewards, _, _ = batch.step(found.actions[rows])
+    np.testing.assert_allclose(batch.states, found.next_obs[rows], atol=1e-4)  # observations are float32
+    np.testing.assert_allclose(rewards, found.rewards[rows], atol=1e-4)
+
+
+def test_the_controls_lead_back(rng: np.random.Generator) -> None:
+    """Beside plans of a pole that stands up, they are those of a regulator that holds it up."""
+    states, settable = 0.01 * rng.normal(size=(40, 4)), SettableTask(TASK, "dense")
+    following = np.full(40, -1)
+    beside, controls = beside_plans(settable, states, np.zeros((40, 1)), following, 1.0)
+    moves = beside - np.tile(states, (COPIES, 1))
+    gain = np.linalg.lstsq(moves, controls, rcond=None)[0]
+    assert np.abs(controls - moves @ gain).max() < 0.05 * np.abs(controls).max()
+    batch, angles = TaskBatch(TASK, 1), {}
+    for name, slope in {"regulated": gain, "free": 0 * gain}.items():
+        batch.reset(np.array([[0.0, 0.05, 0.0, 0.0]]), np.zeros((1, 0)))
+        for _ in range(100):
+            batch.step(batch.states @ slope)
+        angles[name] = abs(batch.states[0, 1])
+    assert angles["regulated"] < 0.01 < 0.5 < angles["free"]
+
+
+def test_what_cannot_be_done_is_refused(demos: Demos) -> None:
+    with pytest.raises(UsageError, match="no step along plans is used: set `replay` or `clone`"):
+        TrainConfig(resets=0.5, plan_noise=0.1)
+    with pytest.raises(UsageError, match="plan_noise"):
+        TrainConfig(clone=1, plan_noise=-0.1)
+    other = replace(plans_of(demos, 0.1), settable=SettableGym(GymTask("InvertedPendulum-v5")))
+    with pytest.raises(UsageError, match="--plan-noise linearises the model of a task of planspace"):
+        other._check_steps()
