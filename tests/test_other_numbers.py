@@ -114,6 +114,7 @@ def test_table_of_ways_to_use_plans() -> None:
         ("goals", "appendix/training.md"),
         ("control", "appendix/control.md"),
         ("shaping_scales", "appendix/training.md"),
+        ("cloning", "appendix/training.md"),
     ],
 )
 def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
