@@ -59,6 +59,16 @@ def test_tracking_gains_stabilise_an_unstable_system() -> None:
     assert abs(x) < 1e-6
 
 
+def test_a_step_whose_linear_model_overflows_has_no_gain_and_the_others_have_theirs() -> None:
+    a, b = np.full((40, 1, 1), 1.5), np.ones((40, 1, 1))
+    known = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
+    a[20] = np.inf
+    gains = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
+    assert gains[20] == 0
+    np.testing.assert_array_equal(gains[21:], known[21:])
+    np.testing.assert_allclose(gains[:10], known[:10], rtol=1e-6)
+
+
 def test_the_equilibrium_control_of_a_quadrotor_is_its_weight() -> None:
     simulator = make("quadrotor")
     level = np.zeros(13)

@@ -136,11 +136,15 @@ def tracking_gains_of_rows(
 def _riccati_step(
     a: np.ndarray, b: np.ndarray, value: np.ndarray, state_cost: np.ndarray, control_cost: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The gain of a step, and the value before it; the gain is zero where there is no solution."""
-    gain, pull = np.zeros(b.T.shape), b.T @ value
-    with contextlib.suppress(np.linalg.LinAlgError):
-        gain = np.linalg.solve(np.diag(control_cost) + pull @ b, pull @ a)
-    return gain, np.diag(state_cost) + a.T @ value @ (a - b @ gain)
+    """The gain of a step, zero without a solution, and the value before it, anew where it overflows."""
+    cost, gain = np.diag(state_cost), np.zeros(b.T.shape)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pull = b.T @ value
+        with contextlib.suppress(np.linalg.LinAlgError):
+            found = np.linalg.solve(np.diag(control_cost) + pull @ b, pull @ a)
+            gain = np.where(np.isfinite(found).all(), found, gain)
+        before = cost + a.T @ value @ (a - b @ gain)
+    return gain, before if np.isfinite(before).all() else cost
 
 
 def equilibrium_control(

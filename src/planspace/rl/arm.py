@@ -35,8 +35,8 @@ class Arm:
     progress: Progress | None = None
     """The reward that is paid instead of the task's, if it is `progress`."""
     plan_transitions: Transitions | None = None
-    """Transitions along plans, the same for each seed; None unless `config` has `replay`, `clone` or
-    `clone_weight`."""
+    """Transitions along plans and, with `plan_noise`, beside them, the same for each seed; None unless
+    `config` has `replay`, `clone` or `clone_weight`."""
     done: float = 0.0
     """Fraction of training that is done."""
 

@@ -195,8 +195,9 @@ class OMPLQuery:
 
     def _run(self, setup: Any) -> bool:
         if self.planner.iterations:
-            counted = self.base.IterationTerminationCondition(self.planner.iterations)
-            setup.solve(self.base.PlannerTerminationCondition(counted))
+            asked, last = itertools.count(1), self.planner.iterations
+            self._is_over = self.base.PlannerTerminationConditionFn(lambda: next(asked) > last)
+            setup.solve(self.base.PlannerTerminationCondition(self._is_over))
         else:
             setup.solve(self.planner.seconds)
         return bool(setup.haveExactSolutionPath())
