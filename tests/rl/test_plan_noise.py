@@ -8,7 +8,7 @@ import pytest
 from planspace.demos.dataset import Demos
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
-from planspace.plan.linearise import END_REPEATS, tracking_gains, tracking_gains_of_rows
+from planspace.plan.linearise import tracking_gains
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import COPIES, beside_plans, next_rows
@@ -27,12 +27,14 @@ def plans_of(demos: Demos, noise: float) -> Plans:
     return found
 
 
-def test_gains_of_rows_are_those_of_trajectories_whose_last_row_repeats(rng: np.random.Generator) -> None:
+def test_gains_of_several_trajectories_whose_last_step_repeats_are_those_of_each(
+    rng: np.random.Generator,
+) -> None:
     a, b = np.eye(3) + 0.1 * rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3, 1))
     costs = np.ones(3), np.full(1, 0.1)
-    gains = tracking_gains_of_rows(a, b, np.array([2, 3, 4, 5, -1, -1]), *costs)
+    gains = tracking_gains(a, b, *costs, np.array([2, 3, 4, 5, -1, -1]), end_repeats=200)
     for rows in ([0, 2, 4], [1, 3, 5]):  # two trajectories, whose rows alternate
-        repeated = rows + [rows[-1]] * (END_REPEATS - 1)
+        repeated = rows + [rows[-1]] * 199
         np.testing.assert_allclose(
             gains[rows], tracking_gains(a[repeated], b[repeated], *costs)[:3], rtol=1e-9
         )

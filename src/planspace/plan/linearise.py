@@ -22,8 +22,6 @@ NUDGE = 1e-6
 """Half of the width of the differences. At a bound, where MuJoCo clips them, controls and activations are
 moved only inwards."""
 EQUILIBRIUM_ITERATIONS = 5
-END_REPEATS = 200
-"""Steps for which the last row of a trajectory is repeated."""
 
 
 def along(
@@ -92,42 +90,30 @@ def tracking_gains(
     b: Float[np.ndarray, "step tangent control"],
     state_cost: Float[np.ndarray, " tangent"],
     control_cost: Float[np.ndarray, " control"],
+    following: Int[np.ndarray, " step"] | None = None,
+    end_repeats: int = 1,
 ) -> Float[np.ndarray, "step control tangent"]:
-    """Gains of a time-varying LQR that keeps a simulation on the trajectory.
+    """Gains of a time-varying LQR that keeps a simulation on one or several trajectories.
 
     Where the linear model has no solution, for example because it overflows, the gain is zero.
-    """
-    count, n, m = b.shape
-    gains, value = np.zeros((count, m, n)), np.diag(state_cost)
-    for k in reversed(range(count)):
-        gains[k], value = _riccati_step(a[k], b[k], value, state_cost, control_cost)
-    return gains
-
-
-def tracking_gains_of_rows(
-    a: Float[np.ndarray, "row tangent tangent"],
-    b: Float[np.ndarray, "row tangent control"],
-    following: Int[np.ndarray, " row"],
-    state_cost: Float[np.ndarray, " tangent"],
-    control_cost: Float[np.ndarray, " control"],
-) -> Float[np.ndarray, "row control tangent"]:
-    """Gains as of `tracking_gains`, where the row that follows another is not always the next one.
-
-    At the end of a trajectory, the value is that of repeating its last row, so that its gain is one that
-    holds its end.
 
     Args:
         a: change of the next state per change of each state.
         b: change of the next state per change of each control.
-        following: the row that a step from each row leads to, a later one; -1 where the trajectory ends.
         state_cost: cost of the square of each number of a tangent.
         control_cost: cost of the square of each control.
+        following: the step, a later one, that follows each; -1 where a trajectory ends. By default the steps
+            are one trajectory in order.
+        end_repeats: how often the last step of a trajectory is taken. With many, its gain holds the end.
     """
     count, n, m = b.shape
+    if following is None:
+        following = np.append(np.arange(1, count), -1)
     gains, values = np.zeros((count, m, n)), np.zeros((count, n, n))
     for k in reversed(range(count)):
-        value = np.diag(state_cost) if following[k] < 0 else values[following[k]]
-        for _ in range(END_REPEATS if following[k] < 0 else 1):
+        is_end = following[k] < 0
+        value = np.diag(state_cost) if is_end else values[following[k]]
+        for _ in range(end_repeats if is_end else 1):
             gains[k], value = _riccati_step(a[k], b[k], value, state_cost, control_cost)
         values[k] = value
     return gains

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.errors import UsageError
-from planspace.plan.linearise import along, tracking_gains_of_rows
+from planspace.plan.linearise import along, tracking_gains
 from planspace.progress import progress_over
 from planspace.rl.observe import Observer
 from planspace.rl.progress import Progress
@@ -17,6 +17,8 @@ from planspace.rl.transitions import Transitions
 
 COPIES = 10
 """States beside each state of a plan."""
+END_REPEATS = 200
+"""Steps for which the regulator holds the end of a plan."""
 TIME_TOLERANCE = 1e-6
 """Steps by which a plan may end too early for its last step; times are rounded."""
 
@@ -116,7 +118,7 @@ def beside_plans(
         for rows in progress_over(blocks, "linearise", unit="block", total=len(blocks))
     ]
     a, b = map(np.concatenate, zip(*slopes, strict=True))
-    gains = tracking_gains_of_rows(a, b, following, state_cost, 1.0 / half**2)
+    gains = tracking_gains(a, b, state_cost, 1.0 / half**2, following, END_REPEATS)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
     corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
