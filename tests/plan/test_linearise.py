@@ -50,9 +50,9 @@ def test_sensitivities_are_products_of_the_step_matrices(rng: np.random.Generato
     np.testing.assert_array_equal(answer[1][:, 1:], 0)  # later controls have no effect
 
 
-def test_tracking_gains_stabilise_an_unstable_system() -> None:
+def test_a_time_varying_regulator_stabilises_an_unstable_system() -> None:
     a, b = np.full((40, 1, 1), 1.5), np.ones((40, 1, 1))  # x grows by a factor of 1.5 per step
-    gains = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
+    gains = linearise.time_varying_lqr(a, b, np.ones(1), np.full(1, 0.01))[0]
     x = 1.0
     for k in range(40):
         x = 1.5 * x - float(gains[k, 0, 0]) * x
@@ -61,9 +61,9 @@ def test_tracking_gains_stabilise_an_unstable_system() -> None:
 
 def test_a_step_whose_linear_model_overflows_has_no_gain_and_the_others_have_theirs() -> None:
     a, b = np.full((40, 1, 1), 1.5), np.ones((40, 1, 1))
-    known = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
+    known = linearise.time_varying_lqr(a, b, np.ones(1), np.full(1, 0.01))[0]
     a[20] = np.inf
-    gains = linearise.tracking_gains(a, b, np.ones(1), np.full(1, 0.01))
+    gains = linearise.time_varying_lqr(a, b, np.ones(1), np.full(1, 0.01))[0]
     assert gains[20] == 0
     np.testing.assert_array_equal(gains[21:], known[21:])
     np.testing.assert_allclose(gains[:10], known[:10], rtol=1e-6)

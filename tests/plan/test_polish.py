@@ -216,7 +216,7 @@ def test_plans_with_contacts_and_rotations_get_shorter_and_stay_valid(name: str)
 
 def test_a_linear_model_without_a_solution_has_no_feedback() -> None:
     """A control without cost and effect: the equations of its gain are singular."""
-    gains = linearise.tracking_gains(np.ones((3, 2, 2)), np.zeros((3, 2, 1)), np.ones(2), np.zeros(1))
+    gains = linearise.time_varying_lqr(np.ones((3, 2, 2)), np.zeros((3, 2, 1)), np.ones(2), np.zeros(1))[0]
     np.testing.assert_array_equal(gains, np.zeros((3, 1, 2)))
 
 

@@ -8,10 +8,10 @@ import pytest
 from planspace.demos.dataset import Demos
 from planspace.envs.batch import TaskBatch
 from planspace.errors import UsageError
-from planspace.plan.linearise import tracking_gains
+from planspace.plan.linearise import time_varying_lqr
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
-from planspace.rl.plan_steps import COPIES, beside_plans, next_rows
+from planspace.rl.plan_steps import COPIES, beside_plans
 from planspace.rl.plans import Plans
 from planspace.rl.settable import SettableGym, SettableTask
 from planspace.tasks.catalog import TASKS
@@ -32,23 +32,12 @@ def test_gains_of_several_trajectories_whose_last_step_repeats_are_those_of_each
 ) -> None:
     a, b = np.eye(3) + 0.1 * rng.normal(size=(6, 3, 3)), rng.normal(size=(6, 3, 1))
     costs = np.ones(3), np.full(1, 0.1)
-    gains = tracking_gains(a, b, *costs, np.array([2, 3, 4, 5, -1, -1]), end_repeats=200)
+    gains, values = time_varying_lqr(a, b, *costs, np.array([2, 3, 4, 5, -1, -1]), end_repeats=200)
     for rows in ([0, 2, 4], [1, 3, 5]):  # two trajectories, whose rows alternate
         repeated = rows + [rows[-1]] * 199
-        np.testing.assert_allclose(
-            gains[rows], tracking_gains(a[repeated], b[repeated], *costs)[:3], rtol=1e-9
-        )
-
-
-def test_the_next_row_is_the_nearest_in_time_of_the_same_plan(demos: Demos) -> None:
-    rows = np.concatenate([np.arange(*demos.offsets[i : i + 2]) for i in (0, 1)])
-    spacing = demos.times[1]
-    found = next_rows(demos, rows, 2 * spacing)
-    first = demos.offsets[1]
-    np.testing.assert_array_equal(found[: first - 2], np.arange(2, first))
-    np.testing.assert_array_equal(found[first - 2 : first], -1)
-    assert found[first] == first + 2
-    np.testing.assert_array_equal(next_rows(demos, rows, 0.4 * spacing), -1)  # no row but its own is near
+        expected = time_varying_lqr(a[repeated], b[repeated], *costs)
+        for found, right in zip((gains, values), expected, strict=True):
+            np.testing.assert_allclose(found[rows], right[:3], rtol=1e-9)
 
 
 def test_steps_beside_plans_follow_those_along_them_and_are_the_task_s(demos: Demos) -> None:

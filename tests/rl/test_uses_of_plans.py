@@ -7,7 +7,6 @@ import pytest
 
 from planspace.cli import main
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
 from planspace.demos.search_tree import SearchTree
 from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
@@ -19,7 +18,6 @@ from planspace.rl import arm, training
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
-from planspace.rl.plan_steps import average_controls
 from planspace.rl.plans import Plans
 from planspace.rl.rollout import Rollout, collect
 from planspace.rl.training import train_policies
@@ -183,14 +181,6 @@ def test_the_target_of_a_transition_is_the_goal_of_its_plan(monkeypatch: pytest.
     batch = TaskBatch(task, 15)
     batch.reset(np.concatenate([plans.episode(i).states[:-1] for i in range(3)]), np.repeat(goals, 5, axis=0))
     np.testing.assert_allclose(steps.rewards, batch.step(steps.actions)[0], atol=1e-6)
-
-
-def test_controls_are_averaged_over_the_step_whatever_the_times() -> None:
-    times, controls = np.array([0.0, 0.1, 0.4, 0.5]), np.array([[1.0], [2.0], [4.0]])
-    plan = Episode(np.zeros((4, 2)), controls, times, np.zeros(2), True, 0, 0)
-    found = average_controls(plan, 0.2)
-    np.testing.assert_allclose(found, [[1.5], [2.0]])  # the others have less than 0.2 s left
-    np.testing.assert_allclose(average_controls(plan, 0.1 * (1 + 1e-9)), [[1.0], [2.0], [4.0]], rtol=1e-6)
 
 
 def test_steps_from_where_an_episode_would_have_ended_are_left_out(demos: Demos) -> None:

@@ -66,7 +66,8 @@ class Control:
     method: Annotated[str, arg(metavar="{" + ",".join(METHODS) + "}|module.py:NAME")] = "mppi"
     """How samples become controls, or module.py:NAME for your own. Its settings are options, too."""
     plans: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """A dataset of plans to show beside the episodes in the film and in the report."""
+    """A dataset of plans: shown beside the episodes in the film and in the report, and followed with
+    --follow-s."""
     no_film: bool = False
     """Do not film the episodes."""
     json: bool = False
@@ -108,6 +109,8 @@ class Control:
         if embedding is None and encoder is not None:
             embedding = encoder.teacher
         plans = None if self.plans is None else load_demos(self.plans)
+        if self.config.follow_s and plans is None:
+            raise UsageError("--follow-s needs plans to follow: give --plans DIR.")
         if note := support_note(plant, self.config, embedding):
             print(note, file=sys.stderr)
         found = control_into(
@@ -120,6 +123,7 @@ class Control:
             episode_s=self.episode_s,
             workers=self.workers or None,
             encoder=encoder,
+            plans=plans,
         )
         self._print(found)
         report = write_control_report(self.out, found, self.config, embedding, plans, film=not self.no_film)

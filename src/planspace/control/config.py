@@ -55,6 +55,11 @@ class ControlConfig:
     regulator: bool = True
     """Whether a linear regulator takes over where a simulation shows that it reaches and holds the goal."""
 
+    follow_s: float = field(default=0.0, metadata=unset_if(0.0))
+    """Above 0, the controller follows one of the plans it is given, where a simulation shows that a linear
+    regulator along it reaches and holds the goal within this time [s]. The nearest states of plans in z are
+    tried ten times a second."""
+
     def __post_init__(self) -> None:
         """Check the ranges.
 
@@ -70,5 +75,7 @@ class ControlConfig:
         check_setting("ilqr_rounds", self.ilqr_rounds, self.ilqr_rounds >= 0, "at least 0")
         if self.ilqr_rounds and self.cost == "reward":
             raise UsageError("ilqr_rounds needs a cost that is a distance: z, time or raw.")
-        for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
+        if self.follow_s and not self.regulator:
+            raise UsageError("follow_s needs the regulator, which holds the goal at the end of a plan.")
+        for name in ("follow_s", "noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")

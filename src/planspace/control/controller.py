@@ -9,10 +9,12 @@ from jaxtyping import Float
 
 from planspace.control.config import ControlConfig
 from planspace.control.costs import Cost, DistanceCost, make_cost, support_note
+from planspace.control.follow import PlanFollower
 from planspace.control.ilqr import NUM_POLICIES, policies
 from planspace.control.plant import Plant
 from planspace.control.splines import spline_matrix
 from planspace.control.takeover import Takeover
+from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError
 from planspace.tasks.problem import Problem
@@ -34,6 +36,7 @@ class Controller:
         embedding: Embedding | None = None,
         config: ControlConfig | None = None,
         *,
+        plans: Demos | None = None,
         seed: int = 0,
         threads: int = 0,
     ):
@@ -43,6 +46,7 @@ class Controller:
             problem: a planning problem or a task, or the name or file of either.
             embedding: computes z; needed for the cost `z`.
             config: the settings.
+            plans: what `follow_s` follows; needed and used only where it is above 0.
             seed: seed of the samples.
             threads: physics threads; 0 uses all CPUs. Results do not depend on it.
 
@@ -60,6 +64,7 @@ class Controller:
                 "a control of the model has no limits, so that none can be sampled: give it a ctrlrange, or "
                 "control_bounds in the problem file."
             )
+        self._follower = _make_follower(self.plant, embedding, self.config, plans, threads)
         self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
         self._make_splines()
         if note := support_note(self.plant, self.config, embedding):
@@ -81,17 +86,25 @@ class Controller:
         self._cost: Cost = make_cost(self.plant, self.config, target, self.embedding)
         goal_held = self.config.regulator and self.plant.problem.hold
         self._takeover = Takeover(self.plant, self.plant.goal(target)) if goal_held else None
+        if self._follower is not None:
+            assert self._takeover is not None
+            self._follower.start(self._takeover)
         self.regulated = False
-        """Whether the regulator gave the last control."""
+        """Whether the regulator at the goal gave the last control."""
+        self.followed = False
+        """Whether the last control follows a plan."""
 
     def __call__(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"]:
         """Return the control to apply in this state for one control step."""
         state = np.asarray(state, dtype=float)
-        regulated = None if self._takeover is None else self._takeover.control(state)
-        self.regulated = regulated is not None
-        if regulated is not None:
-            self._mean = np.tile((regulated - self._middle) / self._half, (self.config.knots, 1))
-            return regulated
+        given = None if self._takeover is None else self._takeover.control(state)
+        self.regulated = given is not None
+        if given is None and self._follower is not None:
+            given = self._follower.control(state)
+        self.followed = given is not None and not self.regulated
+        if given is not None:
+            self._mean = np.tile((given - self._middle) / self._half, (self.config.knots, 1))
+            return given
         mean, std = self._mean, np.full_like(self._mean, self.config.noise)
         for _ in range(getattr(self.config.method, "iterations", 1)):
             candidates = self._candidates(mean, std)
@@ -184,6 +197,25 @@ class Controller:
         states[diverged] = state
         costs = self._cost(states, controls) + config.invalid_cost * invalid / self.num_steps
         return states, controls, np.where(diverged, np.inf, costs)
+
+
+def _make_follower(
+    plant: Plant, embedding: Embedding | None, config: ControlConfig, plans: Demos | None, threads: int
+) -> PlanFollower | None:
+    """What follows plans; None if nothing does.
+
+    Raises:
+        UsageError: there are no plans or no embedding, the goal is not held, or the plans do not fit.
+    """
+    if not config.follow_s:
+        return None
+    if plans is None or embedding is None:
+        raise UsageError("follow_s needs plans to follow, and an embedding to find the nearest of them.")
+    if not plant.problem.hold:
+        raise UsageError(
+            f"follow_s needs a goal that is held, but that of {plant.problem.name} is not (`hold: false`)."
+        )
+    return PlanFollower(plant, embedding, plans, config.follow_s, threads)
 
 
 def colored(

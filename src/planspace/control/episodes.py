@@ -29,7 +29,9 @@ class ControlledEpisode:
     at_goal: Bool[np.ndarray, " time"]
     """Whether each state is at the goal, as the task judges it."""
     regulated: Bool[np.ndarray, " step"]
-    """Whether the regulator gave the control."""
+    """Whether the regulator at the goal gave the control."""
+    followed: Bool[np.ndarray, " step"]
+    """Whether the control follows a plan."""
     seconds: Float[np.ndarray, " step"]
     """Wall time for which each control was computed [s]."""
     goal: Float[np.ndarray, " state"]
@@ -82,7 +84,7 @@ def run_episode(
         sight.restart(np.random.default_rng((seed, index, 2)), state_filter)
     simulator = plant.simulator(1)
     simulator.reset(starts)
-    states, controls, rewards, regulated, seconds = [starts[0]], [], [], [], []
+    states, controls, rewards, regulated, followed, seconds = [starts[0]], [], [], [], [], []
     for _ in range(num_steps or task.horizon):
         began = time.perf_counter()
         control = controller(states[-1] if sight is None else sight.see(states[-1])[1])
@@ -95,6 +97,7 @@ def run_episode(
             break
         rewards.append(reward)
         regulated.append(controller.regulated)
+        followed.append(controller.followed)
         controls.append(control)
         states.append(after)
         if terminated:
@@ -106,6 +109,7 @@ def run_episode(
         rewards=np.array(rewards, dtype=float),
         at_goal=plant.at_goal(path, targets[0]),
         regulated=np.array(regulated, dtype=bool),
+        followed=np.array(followed, dtype=bool),
         seconds=np.array(seconds),
         goal=plant.goal(targets[0]).center,
         step=plant.control_step,

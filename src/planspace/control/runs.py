@@ -19,6 +19,7 @@ from planspace.control.config import ControlConfig
 from planspace.control.episodes import ControlledEpisode
 from planspace.control.plant import Plant
 from planspace.control.workers import check_fit, control_all
+from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.folder import DemoFolder
 from planspace.demos.manifest import DatasetSettings
@@ -52,7 +53,9 @@ class ControlSummary:
     real_time: float
     """Fraction of control steps that were computed within a control step, on one core."""
     regulated: float
-    """Fraction of control steps in which the regulator acted."""
+    """Fraction of control steps in which the regulator at the goal acted."""
+    followed: float
+    """Fraction of control steps that followed a plan."""
     episodes: int
     """Number of episodes."""
 
@@ -69,6 +72,7 @@ def control_into(  # noqa: PLR0913
     workers: int | None = None,
     label: str = "control",
     encoder: ImageEncoder | None = None,
+    plans: Demos | None = None,
 ) -> ControlSummary:
     """Control episodes into a run folder; those that it holds are kept.
 
@@ -86,12 +90,13 @@ def control_into(  # noqa: PLR0913
         workers: number of processes; by default one for each CPU, 0 for none.
         label: what the progress bar says.
         encoder: estimates the state from pictures; None shows the controller the true state.
+        plans: what the setting `follow_s` follows; otherwise unused.
 
     Returns:
         What all episodes amount to.
 
     Raises:
-        UsageError: plant, embedding and settings do not fit together.
+        UsageError: plant, embedding, settings and plans do not fit together.
         PlanspaceError: the folder cannot be written or was made with other settings.
     """
     plant = plant.repeating(config.action_repeat)
@@ -103,14 +108,16 @@ def control_into(  # noqa: PLR0913
         joints=plant.problem.joints,
         source=plant.problem.source,
     )
-    check_fit(plant, embedding, config, encoder)
+    plans = plans if config.follow_s else None
+    check_fit(plant, embedding, config, encoder, plans)
     with lock_folder(out):
-        open_run(out, _settings(plant, embedding, config, seed, steps) | _pixels(encoder))
-        settings = DatasetSettings(problem=plant.problem.hash, seed=seed)
-        whole, demos = (DemoFolder(out / name, info, settings) for name in (EPISODES, DEMOS))
+        settings = _settings(plant, embedding, config, seed, steps)
+        open_run(out, settings | _hash_of("pixels", encoder) | _hash_of("plans", plans))
+        source = DatasetSettings(problem=plant.problem.hash, seed=seed)
+        whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))
         remaining = range(whole.next_index, num)
         if remaining:
-            run = control_all(plant, embedding, config, seed, remaining, steps, workers, encoder)
+            run = control_all(plant, embedding, config, seed, remaining, steps, workers, encoder, plans)
             with closing(run) as episodes:
                 _extend(out, whole, demos, _shown(label, remaining, episodes))
         return summarise(out, config)
@@ -132,9 +139,9 @@ def _settings(
     }
 
 
-def _pixels(encoder: ImageEncoder | None) -> dict[str, str]:
-    """What a run from pixels records in addition; others are recorded as in earlier versions."""
-    return {} if encoder is None else {"pixels": encoder.hash}
+def _hash_of(name: str, used: ImageEncoder | Demos | None) -> dict[str, str]:
+    """What a run records of an encoder or of plans if it uses them; earlier versions recorded neither."""
+    return {} if used is None else {name: used.hash}
 
 
 def summarise(out: Path, config: ControlConfig) -> ControlSummary:
@@ -147,7 +154,8 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         rows = read_rows(out / LOG)
         returns = [float(row["return"]) for row in rows]
         mean = {
-            key: float(np.mean([row[key] for row in rows])) for key in ("success", "real_time", "regulated")
+            key: float(np.mean([row.get(key, 0.0) for row in rows]))  # earlier versions followed no plans
+            for key in ("success", "real_time", "regulated", "followed")
         }
     return ControlSummary(
         success=mean["success"],
@@ -157,6 +165,7 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         samples=config.samples,
         real_time=mean["real_time"],
         regulated=mean["regulated"],
+        followed=mean["followed"],
         episodes=len(rows),
     )
 
@@ -226,6 +235,7 @@ def _row(index: int, episode: ControlledEpisode) -> dict[str, Any]:
         "success": episode.success,
         "arrival": episode.arrival,
         "regulated": float(episode.regulated.mean()) if len(in_time) else 0.0,
+        "followed": float(episode.followed.mean()) if len(in_time) else 0.0,
         "real_time": float(in_time.mean()) if len(in_time) else 0.0,
         "step_ms": float(1e3 * np.median(episode.seconds)) if len(in_time) else 0.0,
     }

@@ -21,25 +21,27 @@ class Takeover:
     def __init__(self, plant: Plant, goal: Goal):
         self._simulator = plant.simulator(1)
         config = replace(RegulatorConfig(), step_s=plant.control_step)
-        self._regulator = Regulator(self._simulator, goal, plant.problem.weights(plant.space), config)
-        self._goal = goal
-        self._steps = max(1, round(ARRIVE_S / plant.control_step)), max(1, round(HOLD_S / plant.control_step))
+        self.goal = goal
+        self.regulator = Regulator(self._simulator, goal, plant.problem.weights(plant.space), config)
+        self.arrive = max(1, round(ARRIVE_S / plant.control_step))
+        """Control steps within which it must reach the goal."""
+        self.hold = max(1, round(HOLD_S / plant.control_step))
+        """Control steps for which it must then stay there."""
 
     def control(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"] | None:
         """The regulator's control if it reaches and holds the goal from here; otherwise None."""
-        first = now = self._regulator.control(state)
+        first = now = self.regulator.control(state)
         simulator, held = self._simulator, 0
         simulator.reset(state[None])
-        arrive, hold = self._steps
-        for step in range(arrive + hold):
-            simulator.step(now[None], self._regulator.stride)
+        for step in range(self.arrive + self.hold):
+            simulator.step(now[None], self.regulator.stride)
             reached = simulator.states()[0]
             if not simulator.allowed(1)[0] or simulator.diverged()[0]:
                 return None
-            held = held + 1 if self._goal.reached(reached) else 0
-            if held >= hold:
+            held = held + 1 if self.goal.reached(reached) else 0
+            if held >= self.hold:
                 return first
-            if held == 0 and step >= arrive:
+            if held == 0 and step >= self.arrive:
                 return None
-            now = self._regulator.control(reached)
+            now = self.regulator.control(reached)
         return None

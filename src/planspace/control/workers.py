@@ -9,6 +9,7 @@ from planspace.control.config import ControlConfig
 from planspace.control.controller import Controller
 from planspace.control.episodes import ControlledEpisode, run_episode
 from planspace.control.plant import Plant
+from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.sight import Sight, check_sight
@@ -17,16 +18,20 @@ from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_
 
 
 def check_fit(
-    plant: Plant, embedding: Embedding | None, config: ControlConfig, encoder: ImageEncoder | None
+    plant: Plant,
+    embedding: Embedding | None,
+    config: ControlConfig,
+    encoder: ImageEncoder | None,
+    plans: Demos | None,
 ) -> None:
-    """Check that plant, embedding, settings and encoder fit together, before anything is written.
+    """Check that plant, embedding, settings, encoder and plans fit together, before anything is written.
 
     Raises:
         UsageError: they do not.
     """
     if encoder is not None:
         check_sight(encoder, plant.space, plant.control_step)
-    _make_controller(plant, embedding, config)
+    _make_controller(plant, embedding, config, plans)
 
 
 def control_all(  # noqa: PLR0913
@@ -38,6 +43,7 @@ def control_all(  # noqa: PLR0913
     num_steps: int,
     workers: int | None,
     encoder: ImageEncoder | None = None,
+    plans: Demos | None = None,
 ) -> Generator[ControlledEpisode, None, None]:
     """Run episodes and yield them in order.
 
@@ -50,14 +56,15 @@ def control_all(  # noqa: PLR0913
         num_steps: control steps of an episode.
         workers: number of processes; 0 for this one, None for one for each CPU.
         encoder: estimates the state from pictures; None shows the controller the true state.
+        plans: what `follow_s` follows.
     """
     if workers == 0:
-        controller = _make_controller(plant, embedding, config)
+        controller = _make_controller(plant, embedding, config, plans)
         sight = _make_sight(plant, encoder)
         for i in indices:
             yield run_episode(controller, seed, i, num_steps, sight)
         return
-    packed = pack((plant, embedding, config, encoder))
+    packed = pack((plant, embedding, config, encoder, plans))
     with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
         futures = [pool.submit(_run_packed, packed, seed, i, num_steps) for i in indices]
         try:
@@ -76,14 +83,16 @@ def _run_packed(packed: bytes, seed: int, index: int, num_steps: int) -> Control
 
 @lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> tuple[Controller, Sight | None]:
-    plant, embedding, config, encoder = pickle.loads(packed)
-    return _make_controller(plant, embedding, config), _make_sight(plant, encoder)
+    plant, embedding, config, encoder, plans = pickle.loads(packed)
+    return _make_controller(plant, embedding, config, plans), _make_sight(plant, encoder)
 
 
 def _make_sight(plant: Plant, encoder: ImageEncoder | None) -> Sight | None:
     return None if encoder is None else Sight(encoder, plant.model, plant.space, plant.control_step)
 
 
-def _make_controller(plant: Plant, embedding: Embedding | None, config: ControlConfig) -> Controller:
+def _make_controller(
+    plant: Plant, embedding: Embedding | None, config: ControlConfig, plans: Demos | None
+) -> Controller:
     with warnings.catch_warnings(action="ignore"):  # of a far goal, which the command has said
-        return Controller(plant, embedding, config, threads=1)
+        return Controller(plant, embedding, config, plans=plans, threads=1)

@@ -85,15 +85,15 @@ def sensitivities(
     return sensitivity
 
 
-def tracking_gains(
+def time_varying_lqr(
     a: Float[np.ndarray, "step tangent tangent"],
     b: Float[np.ndarray, "step tangent control"],
     state_cost: Float[np.ndarray, " tangent"],
     control_cost: Float[np.ndarray, " control"],
     following: Int[np.ndarray, " step"] | None = None,
     end_repeats: int = 1,
-) -> Float[np.ndarray, "step control tangent"]:
-    """Gains of a time-varying LQR that keeps a simulation on one or several trajectories.
+) -> tuple[Float[np.ndarray, "step control tangent"], Float[np.ndarray, "step tangent tangent"]]:
+    """A time-varying LQR that keeps a simulation on one or several trajectories.
 
     Where the linear model has no solution, for example because it overflows, the gain is zero.
 
@@ -105,6 +105,9 @@ def tracking_gains(
         following: the step, a later one, that follows each; -1 where a trajectory ends. By default the steps
             are one trajectory in order.
         end_repeats: how often the last step of a trajectory is taken. With many, its gain holds the end.
+
+    Returns:
+        The gain of each step, and the matrix of the cost to go from its beginning.
     """
     count, n, m = b.shape
     if following is None:
@@ -116,7 +119,7 @@ def tracking_gains(
         for _ in range(end_repeats if is_end else 1):
             gains[k], value = _riccati_step(a[k], b[k], value, state_cost, control_cost)
         values[k] = value
-    return gains
+    return gains, values
 
 
 def _riccati_step(

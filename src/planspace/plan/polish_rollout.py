@@ -45,7 +45,7 @@ class Rollout:
     def linear_model(self, plan: Trajectory) -> LinearModel:
         """Linearise the dynamics along a plan."""
         a, b = linearise.along(self.simulator, plan.states[:-1], plan.controls, self.stride)
-        gains = linearise.tracking_gains(a, b, self.state_cost, self.control_cost)
+        gains, _ = linearise.time_varying_lqr(a, b, self.state_cost, self.control_cost)
         if self.clearance is None:
             none = np.empty((len(plan.states), 0))
             return LinearModel(gains, linearise.sensitivities(a, b), none, none[..., None])

@@ -6,21 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
 from planspace.errors import UsageError
-from planspace.plan.linearise import along, tracking_gains
-from planspace.progress import progress_over
+from planspace.plan.tracking import average_controls, deviations, next_rows, regulators_along
 from planspace.rl.observe import Observer
 from planspace.rl.progress import Progress
-from planspace.rl.settable import BLOCK, Settable, SettableTask
+from planspace.rl.settable import Settable, SettableTask
 from planspace.rl.transitions import Transitions
 
 COPIES = 10
 """States beside each state of a plan."""
-END_REPEATS = 200
-"""Steps for which the regulator holds the end of a plan."""
-TIME_TOLERANCE = 1e-6
-"""Steps by which a plan may end too early for its last step; times are rounded."""
 
 
 def plan_steps(
@@ -93,9 +87,7 @@ def beside_plans(
     """States beside the plans, and controls that lead from there back to the plan.
 
     The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. The
-    controls are those of a time-varying linear regulator along the plan, clipped to their limits. Its costs
-    are the squares of the distances in standard deviations of the states, and of the controls in halves of
-    their ranges.
+    controls are those of a linear regulator along the plan (`regulators_along`), clipped to their limits.
 
     Args:
         settable: takes the steps of the task.
@@ -108,54 +100,13 @@ def beside_plans(
         `COPIES` copies of all states, one after another.
     """
     simulator, rng = settable.simulator, np.random.default_rng(0)
-    space, (low, high) = simulator.space, settable.limits
-    spread = np.std(space.difference(states, states[0]), axis=0)
-    state_cost = 1.0 / np.where(spread > 0, spread, 1.0) ** 2
-    half = np.where(np.isfinite(high - low), (high - low) / 2, np.maximum(np.abs(controls).max(axis=0), 1.0))
-    blocks = [slice(first, first + BLOCK) for first in range(0, len(states), BLOCK)]
-    slopes = [
-        along(simulator, states[rows], controls[rows], settable.physics_steps)
-        for rows in progress_over(blocks, "linearise", unit="block", total=len(blocks))
-    ]
-    a, b = map(np.concatenate, zip(*slopes, strict=True))
-    gains = tracking_gains(a, b, state_cost, 1.0 / half**2, following, END_REPEATS)
+    gains, _ = regulators_along(simulator, states, controls, following, settable.physics_steps)
+    spread = deviations(simulator.space, states)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
     corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
-    beside = settable.normalise(space.integrate(states, moves).reshape(-1, states.shape[1]))
-    return beside, np.clip(corrected, low, high).reshape(-1, controls.shape[1])
-
-
-def next_rows(demos: Demos, rows: Int[np.ndarray, " step"], duration: float) -> Int[np.ndarray, " step"]:
-    """Which of the rows a step from each of them leads to, the nearest in time; -1 where there is none."""
-    plan = np.searchsorted(demos.offsets, rows, side="right") - 1
-    times, found = demos.times[rows], np.full(len(rows), -1)
-    for i in np.unique(plan):
-        own = np.flatnonzero(plan == i)
-        after = times[own] + duration
-        at = np.searchsorted((times[own][1:] + times[own][:-1]) / 2, after)
-        gap = np.abs(times[own][at] - after)
-        found[own] = np.where((gap < 0.5 * duration) & (at > np.arange(len(own))), own[at], -1)
-    return found
-
-
-def average_controls(episode: Episode, duration: float) -> Float[np.ndarray, "step control"]:
-    """Average the controls of a plan over a step of this duration from each of its states.
-
-    Args:
-        episode: the plan.
-        duration: the duration of a step [s].
-
-    Returns:
-        The control of each step that ends within the plan: of the first states, in order.
-    """
-    times = episode.times
-    whole = np.count_nonzero(times + duration <= times[-1] + TIME_TOLERANCE * duration)
-    ends = np.minimum(times[:whole] + duration, times[-1])
-    integral = np.zeros((len(times), episode.controls.shape[1]))
-    np.cumsum(episode.controls * np.diff(times)[:, None], axis=0, out=integral[1:])
-    after = [np.interp(ends, times, column) for column in integral.T]
-    return (np.stack(after, axis=1) - integral[:whole]) / duration
+    beside = settable.normalise(simulator.space.integrate(states, moves).reshape(-1, states.shape[1]))
+    return beside, np.clip(corrected, *settable.limits).reshape(-1, controls.shape[1])
 
 
 def _goals(demos: Demos, rows: Int[np.ndarray, " step"]) -> Float[np.ndarray, "step settable"]:

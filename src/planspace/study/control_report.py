@@ -26,7 +26,8 @@ HINTS = {
     "return_mean": "mean return of the task's reward",
     "return_worst": "smallest return",
     "real_time": "fraction of controls computed within a control step, on one core",
-    "regulated": "fraction of control steps in which the regulator acted",
+    "regulated": "fraction of control steps in which the regulator at the goal acted",
+    "followed": "fraction of control steps that followed a plan",
 }
 
 

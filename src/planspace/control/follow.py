@@ -1,0 +1,121 @@
+"""Following a plan to the goal, where a simulation shows that a regulator can."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from planspace.control.plant import Plant
+from planspace.control.takeover import Takeover
+from planspace.demos.dataset import Demos
+from planspace.embed.embedding import Embedding, norm
+from planspace.errors import UsageError
+from planspace.plan.tracking import TrackedPlans
+
+NEAREST = 256
+"""States of plans that are tried at once, the nearest in z."""
+CHECK_S = 0.1
+"""Time between two trials [s]."""
+DRIFT, SLACK = 2.0, 1.0
+"""A trial is given up when its cost to go in the linear model exceeds `DRIFT` times the first + `SLACK`."""
+
+
+class PlanFollower:
+    """Plans, each with a linear regulator along it, and the simulation that decides which is followed.
+
+    The states of plans that are nearest in z are tried: from the present state, the regulators along their
+    plans are simulated, and the first that reaches the goal and stays there is followed.
+    """
+
+    def __init__(self, plant: Plant, embedding: Embedding, plans: Demos, within_s: float, threads: int = 1):
+        """Linearise along the plans and encode their states.
+
+        Args:
+            plant: what is controlled.
+            embedding: computes z.
+            plans: plans of the same robot, with controls.
+            within_s: how far from the end of its plan a state may be [s].
+            threads: physics threads; 0 uses all CPUs.
+
+        Raises:
+            UsageError: the plans are of another robot, or too short.
+        """
+        self._plant, self._simulator = plant, plant.simulator(NEAREST, threads)
+        self._tracks = TrackedPlans.of(plans_of(plant, plans), self._simulator, plant.physics_steps)
+        self._within = round(within_s / plant.control_step)
+        self._near = np.flatnonzero(self._tracks.remaining <= self._within)
+        if not len(self._near):
+            raise UsageError(f"no plan has a step of {plant.control_step:g} s: give longer plans.")
+        self._columns = list(embedding.columns_of(plant.space.names))
+        self._embedding = embedding
+        self._z = embedding.encode(self._tracks.states[self._near][:, self._columns])
+        self._every = max(1, round(CHECK_S / plant.control_step))
+
+    def start(self, takeover: Takeover) -> None:
+        """Begin an episode, whose goal and regulator there are the takeover's."""
+        self._takeover, self._row, self._age = takeover, -1, self._every
+
+    def control(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"] | None:
+        """The control of the plan that is followed; None if there is none."""
+        if self._row >= 0:
+            self._row = self._row + 1 if self._tracks.remaining[self._row] > 1 else -1
+        self._age += 1
+        if self._age >= self._every:
+            self._age = 0
+            if self._row >= 0:
+                self._row = self._first_to_arrive(state, np.array([self._row]))
+            if self._row < 0:
+                self._row = self._first_to_arrive(state, self._nearest(state))
+        if self._row < 0:
+            return None
+        row, simulator = np.array([self._row]), self._simulator
+        control = self._tracks.control(row, self._tracks.off(row, state[None]))[0]
+        return np.clip(control, simulator.control_low, simulator.control_high)
+
+    def _nearest(self, state: Float[np.ndarray, " state"]) -> Int[np.ndarray, " row"]:
+        """Steps of plans, the nearest first."""
+        away = norm(self._z - self._embedding.encode(state[self._columns]))
+        num = min(NEAREST, len(away))
+        return self._near[np.argpartition(away, num - 1)[:num]]
+
+    def _first_to_arrive(self, state: Float[np.ndarray, " state"], rows: Int[np.ndarray, " row"]) -> int:
+        """The row from which the regulator along its plan holds the goal first; -1 if none does."""
+        simulator, tracks, takeover = self._simulator, self._tracks, self._takeover
+        ids = np.arange(len(rows), dtype=np.int32)
+        simulator.reset(np.repeat(state[None], len(rows), axis=0), ids)
+        at, left, held = rows.copy(), tracks.remaining[rows], np.zeros(len(rows), dtype=int)
+        limit = DRIFT * tracks.cost_to_go(at, tracks.off(at, state[None])) + SLACK
+        for _ in range(self._within + takeover.arrive + takeover.hold):
+            before = simulator.states()[ids]
+            off, on_plan = tracks.off(at, before), left > 0
+            lost = on_plan & (tracks.cost_to_go(at, off) > limit)
+            controls = np.where(on_plan[:, None], tracks.control(at, off), takeover.regulator.control(before))
+            simulator.step(
+                np.clip(controls, simulator.control_low, simulator.control_high),
+                self._plant.physics_steps,
+                ids,
+            )
+            at, left = np.where(left > 1, at + 1, at), left - 1
+            held = np.where(takeover.goal.reached(simulator.states()[ids]), held + 1, 0)
+            if (held >= takeover.hold).any():
+                return int(rows[ids[np.argmax(held)]])
+            valid = simulator.allowed(NEAREST)[ids] & ~simulator.diverged()[ids]
+            kept = valid & ~lost & ~((left < -takeover.arrive) & (held == 0))
+            if not kept.any():
+                break
+            ids, at, left, held, limit = ids[kept], at[kept], left[kept], held[kept], limit[kept]
+        return -1
+
+
+def plans_of(plant: Plant, plans: Demos) -> Demos:
+    """The plans with the states of the plant.
+
+    Raises:
+        UsageError: they have other states, or other controls or none.
+    """
+    names, num = plant.space.names, plant.model.nu
+    if missing := [name for name in names if name not in plans.info.names]:
+        raise UsageError(
+            f"the plans to follow have no {', '.join(missing)}: give plans of {plant.problem.name}."
+        )
+    if plans.info.num_controls != num or not plans.controls.any():
+        raise UsageError(f"plans are followed by their controls, {num} of them: give plans that have them.")
+    return plans.select(names)
