@@ -1,5 +1,6 @@
 """`planspace demos`: the verbs for datasets of demonstrations."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -126,14 +127,38 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Merge:
+    """Join datasets of the same robot, such as plans with different seeds from several machines."""
+
+    folders: Positional[Annotated[tuple[Path, ...], arg(metavar="DEMOS DEMOS ...", help=DEMOS_HELP)]]
+    out: Annotated[Path, arg(metavar="DIR")]
+    """The folder of the joined dataset."""
+
+    def __call__(self) -> None:
+        """Join and save the datasets."""
+        from planspace.demos.load import load_demos
+        from planspace.demos.merge import merge_demos
+
+        parts = [load_demos(folder) for folder in self.folders]
+        merged = merge_demos(parts, [str(folder) for folder in self.folders])
+        merged.save(self.out)
+        if any(part.trees for part in parts) and not merged.trees:
+            print("Search trees are left out, because not all datasets have them.", file=sys.stderr)
+        if any(part.splits for part in parts):
+            print("The splits that the sources named are left out; `embed` draws its own.", file=sys.stderr)
+        print(merged)
+
+
+@dataclass(frozen=True)
 class Demos:
-    """Show, check, draw, film, import and export demonstrations."""
+    """Show, check, draw, film, join, import and export demonstrations."""
 
     action: (
         Annotated[Show, subcommand("show")]
         | Annotated[Validate, subcommand("validate")]
         | Annotated[Plot, subcommand("plot")]
         | Annotated[Render, subcommand("render")]
+        | Annotated[Merge, subcommand("merge")]
         | Annotated[Import, subcommand("import")]
         | Annotated[Export, subcommand("export")]
     )
