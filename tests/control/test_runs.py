@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from planspace import PlanspaceError, load_demos
@@ -33,6 +34,17 @@ def test_a_run_continues_and_ends_like_one_that_was_not_interrupted(tmp_path: Pa
     assert (
         load_demos(tmp_path / "whole" / "episodes").hash == load_demos(tmp_path / "parts" / "episodes").hash
     )
+
+
+def test_episodes_start_where_they_are_told(tmp_path: Path) -> None:
+    starts = np.array([[0.1, 0.0], [-0.2, 0.5]])
+    given = {"num": 2, "seed": 0, "episode_s": 0.2, "workers": 0}
+    control_into(PENDULUM, None, CONFIG, tmp_path, starts=starts, **given)
+    episodes = load_demos(tmp_path / "episodes")
+    np.testing.assert_array_equal([episodes.episode(i).states[0] for i in (0, 1)], starts)
+    control_into(PENDULUM, None, CONFIG, tmp_path, starts=starts, **given)  # nothing is left to do
+    with pytest.raises(PlanspaceError, match="starts"):
+        control_into(PENDULUM, None, CONFIG, tmp_path, starts=-starts, **given)
 
 
 @pytest.mark.nightly

@@ -60,8 +60,9 @@ def run_episode(
     index: int,
     num_steps: int | None = None,
     sight: Sight | None = None,
+    start: Float[np.ndarray, " state"] | None = None,
 ) -> ControlledEpisode:
-    """Run one episode from a start of the task.
+    """Run one episode from a start of the task, or from a given state.
 
     The episode depends on the controller, the seed and the index only. It ends early where the task ends or
     physics diverges.
@@ -73,10 +74,13 @@ def run_episode(
         num_steps: control steps; by default the task's horizon.
         sight: estimates the state from pictures; the controller sees the estimates, filtered if their errors
             are known. None shows it the true state.
+        start: where the episode starts instead.
     """
     plant = controller.plant
     task = plant.task
     starts, targets = task.sample_starts(1, np.random.default_rng((seed, index)))
+    if start is not None:
+        starts = np.asarray(start, dtype=float)[None]
     controller.reset((seed, index, 1), targets[0])
     if sight is not None:
         error, motion = sight.state_error, (plant.model, plant.space, plant.physics_steps)

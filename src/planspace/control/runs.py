@@ -6,6 +6,7 @@ DIR/demos/         those that ended at the goal, until they arrived: demonstrati
 DIR/log.jsonl      one row an episode: return, success, wall times
 """
 
+import hashlib
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from planspace.control.config import ControlConfig
 from planspace.control.episodes import ControlledEpisode
@@ -73,6 +75,7 @@ def control_into(  # noqa: PLR0913
     label: str = "control",
     encoder: ImageEncoder | None = None,
     plans: Demos | None = None,
+    starts: Float[np.ndarray, "episode state"] | None = None,
 ) -> ControlSummary:
     """Control episodes into a run folder; those that it holds are kept.
 
@@ -91,6 +94,7 @@ def control_into(  # noqa: PLR0913
         label: what the progress bar says.
         encoder: estimates the state from pictures; None shows the controller the true state.
         plans: what the setting `follow_s` follows; otherwise unused.
+        starts: the start of each episode, at least `num` of them; by default the task draws them.
 
     Returns:
         What all episodes amount to.
@@ -112,12 +116,17 @@ def control_into(  # noqa: PLR0913
     check_fit(plant, embedding, config, encoder, plans)
     with lock_folder(out):
         settings = _settings(plant, embedding, config, seed, steps)
-        open_run(out, settings | _hash_of("pixels", encoder) | _hash_of("plans", plans))
+        settings |= _hash_of("pixels", encoder) | _hash_of("plans", plans)
+        if starts is not None:
+            settings["starts"] = hashlib.sha256(starts.astype(float).tobytes()).hexdigest()
+        open_run(out, settings)
         source = DatasetSettings(problem=plant.problem.hash, seed=seed)
         whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))
         remaining = range(whole.next_index, num)
         if remaining:
-            run = control_all(plant, embedding, config, seed, remaining, steps, workers, encoder, plans)
+            run = control_all(
+                plant, embedding, config, seed, remaining, steps, workers, encoder, plans, starts
+            )
             with closing(run) as episodes:
                 _extend(out, whole, demos, _shown(label, remaining, episodes))
         return summarise(out, config)

@@ -5,6 +5,9 @@ import warnings
 from collections.abc import Generator
 from functools import lru_cache
 
+import numpy as np
+from jaxtyping import Float
+
 from planspace.control.config import ControlConfig
 from planspace.control.controller import Controller
 from planspace.control.episodes import ControlledEpisode, run_episode
@@ -44,6 +47,7 @@ def control_all(  # noqa: PLR0913
     workers: int | None,
     encoder: ImageEncoder | None = None,
     plans: Demos | None = None,
+    starts: Float[np.ndarray, "episode state"] | None = None,
 ) -> Generator[ControlledEpisode, None, None]:
     """Run episodes and yield them in order.
 
@@ -57,16 +61,18 @@ def control_all(  # noqa: PLR0913
         workers: number of processes; 0 for this one, None for one for each CPU.
         encoder: estimates the state from pictures; None shows the controller the true state.
         plans: what `follow_s` follows.
+        starts: the start of each episode; by default the task draws them.
     """
+    start = (lambda i: None) if starts is None else starts.__getitem__
     if workers == 0:
         controller = _make_controller(plant, embedding, config, plans)
         sight = _make_sight(plant, encoder)
         for i in indices:
-            yield run_episode(controller, seed, i, num_steps, sight)
+            yield run_episode(controller, seed, i, num_steps, sight, start(i))
         return
     packed = pack((plant, embedding, config, encoder, plans))
     with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
-        futures = [pool.submit(_run_packed, packed, seed, i, num_steps) for i in indices]
+        futures = [pool.submit(_run_packed, packed, seed, i, num_steps, start(i)) for i in indices]
         try:
             for future in futures:
                 yield future.result()
@@ -76,9 +82,11 @@ def control_all(  # noqa: PLR0913
             ) from error
 
 
-def _run_packed(packed: bytes, seed: int, index: int, num_steps: int) -> ControlledEpisode:
+def _run_packed(
+    packed: bytes, seed: int, index: int, num_steps: int, start: Float[np.ndarray, " state"] | None
+) -> ControlledEpisode:
     controller, sight = _unpacked(packed)
-    return run_episode(controller, seed, index, num_steps, sight)
+    return run_episode(controller, seed, index, num_steps, sight, start)
 
 
 @lru_cache(maxsize=1)
