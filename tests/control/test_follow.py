@@ -83,6 +83,8 @@ def test_what_does_not_fit_is_refused(
         Controller("cartpole-swingup", embedding, CONFIG)
     with pytest.raises(UsageError, match="have no shoulder"):
         Controller("acrobot-swingup", load_embedding("acrobot-swingup"), CONFIG, plans=demos)
+    with pytest.raises(UsageError, match="at least one control step of 0.04 s, got 0.01"):
+        controller_of(embedding, demos, replace(CONFIG, follow_s=0.01))
     bare = replace(demos, controls=0 * demos.controls)
     with pytest.raises(UsageError, match="followed by their controls, 1 of them"):
         controller_of(embedding, bare)

@@ -5,6 +5,7 @@ import pytest
 
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
+from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.plan.tracking import TrackedPlans, average_controls, next_rows
 from planspace.tasks.problem_file import load_problem
@@ -37,17 +38,23 @@ def swings(demos: Demos, simulator: Simulator) -> Demos:
 
 @pytest.mark.parametrize("physics_steps", [1, 4])
 def test_plans_are_cut_into_steps(swings: Demos, simulator: Simulator, physics_steps: int) -> None:
-    tracks, count = TrackedPlans.of(swings, simulator, physics_steps), STEPS // physics_steps
+    tracks, count = TrackedPlans.of(swings, simulator, physics_steps, STEPS), STEPS // physics_steps
     np.testing.assert_array_equal(tracks.remaining, 2 * [*range(count, 0, -1)])
     np.testing.assert_array_equal(tracks.states[count:], swings.states[STEPS + 1 : -1 : physics_steps])
     means = swings.controls.reshape(-1, physics_steps).mean(axis=1)
     np.testing.assert_allclose(tracks.controls[:, 0], means)
+    ends = TrackedPlans.of(swings, simulator, physics_steps, 5)
+    kept = tracks.remaining <= 5
+    np.testing.assert_array_equal(ends.states, tracks.states[kept])
+    np.testing.assert_array_equal(ends.remaining, tracks.remaining[kept])
+    with pytest.raises(UsageError, match="no plan has a step of 20 s"):
+        TrackedPlans.of(swings, simulator, 1000, 5)
 
 
 def test_the_cost_to_go_is_what_the_way_back_costs_and_without_feedback_it_costs_more(
     swings: Demos, simulator: Simulator
 ) -> None:
-    tracks, first = TrackedPlans.of(swings, simulator, 1), np.zeros(1, dtype=int)
+    tracks, first = TrackedPlans.of(swings, simulator, 1, STEPS), np.zeros(1, dtype=int)
     spread = np.std(tracks.states - tracks.states[0], axis=0)
     half = (simulator.control_high - simulator.control_low) / 2
     start = tracks.states[:1] + 1e-4 * spread

@@ -215,6 +215,11 @@ def _make_follower(
         raise UsageError(
             f"follow_s needs a goal that is held, but that of {plant.problem.name} is not (`hold: false`)."
         )
+    if config.follow_s < plant.control_step:
+        raise UsageError(
+            f"`follow_s` must be 0 or at least one control step of {plant.control_step:g} s, "
+            f"got {config.follow_s:g}."
+        )
     return PlanFollower(plant, embedding, plans, config.follow_s, threads)
 
 

@@ -39,14 +39,13 @@ class PlanFollower:
             UsageError: the plans are of another robot, or too short.
         """
         self._plant, self._simulator = plant, plant.simulator(NEAREST, threads)
-        self._tracks = TrackedPlans.of(plans_of(plant, plans), self._simulator, plant.physics_steps)
         self._within = round(within_s / plant.control_step)
-        self._near = np.flatnonzero(self._tracks.remaining <= self._within)
-        if not len(self._near):
-            raise UsageError(f"no plan has a step of {plant.control_step:g} s: give longer plans.")
+        self._tracks = TrackedPlans.of(
+            plans_of(plant, plans), self._simulator, plant.physics_steps, self._within
+        )
         self._columns = list(embedding.columns_of(plant.space.names))
         self._embedding = embedding
-        self._z = embedding.encode(self._tracks.states[self._near][:, self._columns])
+        self._z = embedding.encode(self._tracks.states[:, self._columns])
         self._every = max(1, round(CHECK_S / plant.control_step))
 
     def start(self, takeover: Takeover) -> None:
@@ -74,7 +73,7 @@ class PlanFollower:
         """Steps of plans, the nearest first."""
         away = norm(self._z - self._embedding.encode(state[self._columns]))
         num = min(NEAREST, len(away))
-        return self._near[np.argpartition(away, num - 1)[:num]]
+        return np.argpartition(away, num - 1)[:num]
 
     def _first_to_arrive(self, state: Float[np.ndarray, " state"], rows: Int[np.ndarray, " row"]) -> int:
         """The row from which the regulator along its plan holds the goal first; -1 if none does."""

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.resample import resample
+from planspace.errors import UsageError
 from planspace.physics.simulator import Simulator
 from planspace.physics.space import StateSpace
 from planspace.plan.linearise import along, time_varying_lqr
@@ -43,27 +44,36 @@ class TrackedPlans:
     values: Float[np.ndarray, "step tangent tangent"]
 
     @classmethod
-    def of(cls, demos: Demos, simulator: Simulator, physics_steps: int) -> "TrackedPlans":
+    def of(cls, demos: Demos, simulator: Simulator, physics_steps: int, most: int) -> "TrackedPlans":
         """Cut plans into steps, counted back from their ends, and find their regulators.
 
         Args:
             demos: plans whose states are those of the simulator.
             simulator: its states are overwritten.
             physics_steps: physics steps for which a control is held.
+            most: steps of a plan that are kept at most, the last ones.
+
+        Raises:
+            UsageError: no plan is as long as a step.
         """
         duration = physics_steps * float(simulator.model.opt.timestep)
-        states, controls, remaining = [], [], []
+        whole, states, controls, remaining = [], [], [], []
         for i in range(len(demos)):
             plan = demos.episode(i)
             even = resample(plan, demos.info, duration)
             starts = even.times + (plan.times[-1] - even.times[-1])
             found = average_controls(plan, duration, starts)
-            states.append(simulator.space.normalise(even.states[: len(found)]))
-            controls.append(np.clip(found, simulator.control_low, simulator.control_high))
-            remaining.append(np.arange(len(found), 0, -1))
+            last = slice(max(0, len(found) - most), len(found))
+            whole.append(simulator.space.normalise(even.states[: len(found)]))
+            states.append(whole[-1][last])
+            controls.append(np.clip(found[last], simulator.control_low, simulator.control_high))
+            remaining.append(np.arange(len(found), 0, -1)[last])
         steps = np.concatenate(states), np.concatenate(controls), np.concatenate(remaining)
+        if not len(steps[0]):
+            raise UsageError(f"no plan has a step of {duration:g} s: give longer plans.")
         following = np.where(steps[2] > 1, np.arange(len(steps[2])) + 1, -1)
-        gains, values = regulators_along(simulator, *steps[:2], following, physics_steps)
+        spread = deviations(simulator.space, np.concatenate(whole))
+        gains, values = regulators_along(simulator, *steps[:2], following, physics_steps, spread)
         return cls(simulator.space, *steps, gains, values)
 
     def control(
@@ -96,11 +106,12 @@ def regulators_along(
     controls: Float[np.ndarray, "step control"],
     following: Int[np.ndarray, " step"],
     physics_steps: int,
+    spread: Float[np.ndarray, " tangent"],
 ) -> tuple[Float[np.ndarray, "step control tangent"], Float[np.ndarray, "step tangent tangent"]]:
     """Gains and costs to go of a time-varying linear regulator along plans.
 
-    Its costs are the squares of the distances in standard deviations of the states, and of the controls in
-    halves of their ranges. It holds the end of each plan.
+    Its costs are the squares of the distances in units of `spread`, and of the controls in halves of their
+    ranges. It holds the end of each plan.
 
     Args:
         simulator: its states are overwritten.
@@ -108,6 +119,7 @@ def regulators_along(
         controls: the control of each step.
         following: the row of `states` to which a step leads; -1 where its plan ends.
         physics_steps: physics steps of a step.
+        spread: unit of each number of a tangent, such as its standard deviation; 0 counts as 1.
     """
     low, high = simulator.control_low, simulator.control_high
     half = np.where(np.isfinite(high - low), (high - low) / 2, np.maximum(np.abs(controls).max(axis=0), 1.0))
@@ -117,7 +129,6 @@ def regulators_along(
         for rows in progress_over(blocks, "linearise", unit="block", total=len(blocks))
     ]
     a, b = map(np.concatenate, zip(*slopes, strict=True))
-    spread = deviations(simulator.space, states)
     state_cost = 1.0 / np.where(spread > 0, spread, 1.0) ** 2
     return time_varying_lqr(a, b, state_cost, 1.0 / half**2, following, END_REPEATS)
 

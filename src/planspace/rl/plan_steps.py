@@ -100,8 +100,8 @@ def beside_plans(
         `COPIES` copies of all states, one after another.
     """
     simulator, rng = settable.simulator, np.random.default_rng(0)
-    gains, _ = regulators_along(simulator, states, controls, following, settable.physics_steps)
     spread = deviations(simulator.space, states)
+    gains, _ = regulators_along(simulator, states, controls, following, settable.physics_steps, spread)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
     corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
