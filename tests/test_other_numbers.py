@@ -115,6 +115,8 @@ def test_table_of_ways_to_use_plans() -> None:
         ("control", "appendix/control.md"),
         ("shaping_scales", "appendix/training.md"),
         ("cloning", "appendix/training.md"),
+        ("control_follow", "appendix/control.md"),
+        ("dagger", "training.md"),
     ],
 )
 def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
@@ -123,6 +125,24 @@ def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
     text = (RESULTS.parent / "docs" / page).read_text()
     assert len(lines) > 5
     assert [line for line in lines if line not in text] == []
+
+
+def test_control_of_deepmind_controls_acrobot() -> None:
+    rows = [
+        tuple(row) for row in table_rows((RESULTS.parent / "docs" / "appendix" / "control.md").read_text())
+    ]
+    with open(RESULTS / "control" / "dmc_acrobot.csv") as file:
+        found = list(csv.DictReader(file))
+    for row in found:
+        settings = (
+            row["cost"],
+            f"{row['horizon_s']} s",
+            row["samples"],
+            "yes" if float(row["follow_s"]) else "no",
+        )
+        held = f"{float(row['success']):.0%}"
+        assert (*settings, row["starts"], held, row["return_mean"], row["return_worst"]) in rows, row
+    assert len(found) > 5
 
 
 def test_control_with_ready_made_embeddings() -> None:
