@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--task", default="acrobot-swingup", help="a task with ready-made plans")
     parser.add_argument("--guided", type=int, default=60, metavar="N", help="episodes of round 0")
     parser.add_argument("--corrected", type=int, default=120, metavar="N", help="episodes of a later round")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="rounds after round 0")
+    parser.add_argument("--rounds", type=int, default=7, metavar="N", help="rounds after round 0")
     options, rows = parse(parser, RESULTS, table)
     plant, folder = Plant.find(options.task), options.folder / f"{options.task}-{options.guided}"
     assert isinstance(plant.task, Task)

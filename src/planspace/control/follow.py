@@ -70,7 +70,7 @@ class PlanFollower:
         return np.clip(control, simulator.control_low, simulator.control_high)
 
     def _nearest(self, state: Float[np.ndarray, " state"]) -> Int[np.ndarray, " row"]:
-        """Steps of plans, the nearest first."""
+        """The steps of plans that begin nearest in z."""
         away = norm(self._z - self._embedding.encode(state[self._columns]))
         num = min(NEAREST, len(away))
         return np.argpartition(away, num - 1)[:num]
@@ -94,9 +94,10 @@ class PlanFollower:
             )
             at, left = np.where(left > 1, at + 1, at), left - 1
             held = np.where(takeover.goal.reached(simulator.states()[ids]), held + 1, 0)
-            if (held >= takeover.hold).any():
-                return int(rows[ids[np.argmax(held)]])
             valid = simulator.allowed(NEAREST)[ids] & ~simulator.diverged()[ids]
+            arrived = valid & (held >= takeover.hold)
+            if arrived.any():
+                return int(rows[ids[np.argmax(arrived)]])
             kept = valid & ~lost & ~((left < -takeover.arrive) & (held == 0))
             if not kept.any():
                 break
