@@ -151,9 +151,9 @@ def test_control_of_deepmind_controls_acrobot() -> None:
         ) in rows, row
     best = [row for row in found if (row["cost"], row["horizon_s"], row["follow_s"]) == ("z", "0.64", "3")]
     assert len(found) > 5 and [int(row["starts"]) for row in best] == [20, 20]
-    mean = sum(float(row["return_mean"]) for row in best) / 2
+    (other,) = (row["return_mean"] for row in best if row["seed"] == "1")
     for page in ("README.md", "docs/training.md", "docs/appendix/control.md"):
-        assert f"earns {mean:.0f}" in (RESULTS.parent / page).read_text().replace("\n", " "), page
+        assert f"earns {float(other):.0f}" in (RESULTS.parent / page).read_text().replace("\n", " "), page
 
 
 def test_control_with_ready_made_embeddings() -> None:

@@ -1,5 +1,6 @@
 """Plans are followed where that leads to the goal, and nowhere else."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +53,16 @@ def test_a_plan_is_left_when_the_robot_is_pushed_away(embedding: Embedding, demo
     assert not found[-1]
 
 
+def test_a_plan_is_not_gone_on_with_after_the_regulator(embedding: Embedding, demos: Demos) -> None:
+    controller = controller_of(embedding, demos)
+    controller(demos.episode(0).states[0])
+    assert controller.followed
+    controller(np.zeros(4))
+    assert controller.regulated
+    controller(OUTSIDE)
+    assert not controller.followed and not controller.regulated
+
+
 def test_a_plan_that_is_too_long_is_followed_from_its_last_part_only(
     embedding: Embedding, demos: Demos
 ) -> None:
@@ -86,13 +97,30 @@ def test_what_does_not_fit_is_refused(
     with pytest.raises(UsageError, match="at least one control step of 0.04 s, got 0.01"):
         controller_of(embedding, demos, replace(CONFIG, follow_s=0.01))
     bare = replace(demos, controls=0 * demos.controls)
-    with pytest.raises(UsageError, match="followed by their controls, 1 of them"):
+    with pytest.raises(UsageError, match="need 1 controls a step that are not all 0, and these have 1"):
         controller_of(embedding, bare)
     with pytest.raises(UsageError, match="follow_s needs the regulator"):
         replace(CONFIG, regulator=False)
-    with pytest.raises(UsageError, match="follow_s"):
-        replace(CONFIG, follow_s=-1.0)
+    for value in (-1.0, np.inf):
+        with pytest.raises(UsageError, match="`follow_s` must be at least 0 and finite"):
+            replace(CONFIG, follow_s=value)
     out = tmp_path / "run"
     options = ("--embedding", "cartpole-swingup", "--follow-s", 3, "--out", out)
     code, _, err = call(capsys, "control", "cartpole-swingup", *options)
     assert code == 2 and "give --plans DIR" in err and not out.exists()
+    code, _, err = call(capsys, "control", "cartpole-swingup", *options, "--plans", "acrobot-swingup")
+    assert code == 2 and "acrobot-swingup has the states (shoulder," in err and not out.exists()
+
+
+@pytest.mark.slow
+def test_the_settings_of_a_run_that_followed_plans_can_be_used_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = "cartpole-swingup"
+    arguments = ("control", name, "--embedding", name, "--plans", name)
+    short = ("--episodes", 1, "--episode-s", 0.2, "--samples", 8, "--no-film", "--json")
+    code, first, _ = call(capsys, *arguments, *short, "--follow-s", 3, "--out", tmp_path / "one")
+    assert code == 0 and json.loads(first)["followed"] > 0
+    config = tmp_path / "one" / "config.json"
+    code, second, _ = call(capsys, *arguments, *short, "--config", config, "--out", tmp_path / "two")
+    assert code == 0 and json.loads(second)["followed"] == json.loads(first)["followed"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planspace import PlanspaceError, load_demos
+from planspace import PlanspaceError, UsageError, load_demos
 from planspace.control import runs
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
@@ -43,6 +43,8 @@ def test_episodes_start_where_they_are_told(tmp_path: Path) -> None:
     episodes = load_demos(tmp_path / "episodes")
     np.testing.assert_array_equal([episodes.episode(i).states[0] for i in (0, 1)], starts)
     control_into(PENDULUM, None, CONFIG, tmp_path, starts=starts, **given)  # nothing is left to do
+    with pytest.raises(UsageError, match="2 episodes need as many starts of 2 numbers"):
+        control_into(PENDULUM, None, CONFIG, tmp_path, starts=starts[:1], **given)
     with pytest.raises(PlanspaceError, match="starts"):
         control_into(PENDULUM, None, CONFIG, tmp_path, starts=-starts, **given)
 

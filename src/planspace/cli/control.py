@@ -24,7 +24,9 @@ from planspace.errors import UsageError, unknown
 from planspace.tasks.catalog import task_names
 
 if TYPE_CHECKING:
+    from planspace.control.plant import Plant
     from planspace.control.runs import ControlSummary
+    from planspace.demos.state_info import StateInfo
 
 HELP = (
     f"One of {', '.join(task_names())}; dmc:NAME; or the path of your own problem file. A name "
@@ -32,7 +34,18 @@ HELP = (
 )
 IN_TIME = 0.99
 """Fraction of control steps above which a run counts as real time."""
-RECORDED = ("task", "task_sha256", "problem", "embedding", "seed", "episode_steps", "versions", "pixels")
+RECORDED = (
+    "task",
+    "task_sha256",
+    "problem",
+    "embedding",
+    "seed",
+    "episode_steps",
+    "versions",
+    "pixels",
+    "plans",
+    "starts",
+)
 """What a run's config.json records besides settings."""
 
 
@@ -109,6 +122,8 @@ class Control:
         if embedding is None and encoder is not None:
             embedding = encoder.teacher
         plans = None if self.plans is None else load_demos(self.plans)
+        if plans is not None:
+            self._check_plans(plans.info, plant)
         if self.config.follow_s and plans is None:
             raise UsageError("--follow-s needs plans to follow: give --plans DIR.")
         if note := support_note(plant, self.config, embedding):
@@ -129,6 +144,25 @@ class Control:
         report = write_control_report(self.out, found, self.config, embedding, plans, film=not self.no_film)
         if not self.json:
             print(report)
+
+    def _check_plans(self, info: "StateInfo", plant: "Plant") -> None:
+        """Refuse plans with other states, and warn of plans of another problem that are to be followed.
+
+        Raises:
+            UsageError: the plans have other states.
+        """
+        name = plant.problem.name
+        if info.names != plant.space.names:
+            raise UsageError(
+                f"{self.plans} has the states ({', '.join(info.names)}), but {name} has "
+                f"({', '.join(plant.space.names)}): give plans of {name}."
+            )
+        if self.config.follow_s and info.problem not in ("", name):
+            print(
+                f"the plans are of {info.problem}, not of {name}: where none leads to the goal, none is "
+                "followed.",
+                file=sys.stderr,
+            )
 
     def _print(self, found: "ControlSummary") -> None:
         if self.json:

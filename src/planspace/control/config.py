@@ -1,5 +1,6 @@
 """How a controller looks ahead: its settings, in one nested dataclass."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -76,6 +77,10 @@ class ControlConfig:
         if self.ilqr_rounds and self.cost == "reward":
             raise UsageError("ilqr_rounds needs a cost that is a distance: z, time or raw.")
         if self.follow_s and not self.regulator:
-            raise UsageError("follow_s needs the regulator, which holds the goal at the end of a plan.")
-        for name in ("follow_s", "noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
+            raise UsageError(
+                "follow_s needs the regulator, which holds the goal at the end of a plan: leave out "
+                "follow_s, or leave the regulator on."
+            )
+        check_setting("follow_s", self.follow_s, 0 <= self.follow_s < math.inf, "at least 0 and finite")
+        for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")

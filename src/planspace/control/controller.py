@@ -99,8 +99,11 @@ class Controller:
         state = np.asarray(state, dtype=float)
         given = None if self._takeover is None else self._takeover.control(state)
         self.regulated = given is not None
-        if given is None and self._follower is not None:
-            given = self._follower.control(state)
+        if self._follower is not None:
+            if given is None:
+                given = self._follower.control(state)
+            else:
+                self._follower.leave()
         self.followed = given is not None and not self.regulated
         if given is not None:
             self._mean = np.tile((given - self._middle) / self._half, (self.config.knots, 1))
@@ -213,7 +216,8 @@ def _make_follower(
         raise UsageError("follow_s needs plans to follow, and an embedding to find the nearest of them.")
     if not plant.problem.hold:
         raise UsageError(
-            f"follow_s needs a goal that is held, but that of {plant.problem.name} is not (`hold: false`)."
+            f"follow_s needs a goal that is held, but that of {plant.problem.name} is not (`hold: false`): "
+            "leave follow_s out."
         )
     if config.follow_s < plant.control_step:
         raise UsageError(

@@ -50,7 +50,12 @@ class PlanFollower:
 
     def start(self, takeover: Takeover) -> None:
         """Begin an episode, whose goal and regulator there are the takeover's."""
-        self._takeover, self._row, self._age = takeover, -1, self._every
+        self._takeover = takeover
+        self.leave()
+
+    def leave(self) -> None:
+        """Leave the plan that is followed, if there is one; the next control begins with a trial."""
+        self._row, self._age = -1, self._every
 
     def control(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"] | None:
         """The control of the plan that is followed; None if there is none."""
@@ -117,5 +122,8 @@ def plans_of(plant: Plant, plans: Demos) -> Demos:
             f"the plans to follow have no {', '.join(missing)}: give plans of {plant.problem.name}."
         )
     if plans.info.num_controls != num or not plans.controls.any():
-        raise UsageError(f"plans are followed by their controls, {num} of them: give plans that have them.")
+        raise UsageError(
+            f"the plans to follow need {num} controls a step that are not all 0, and these have "
+            f"{plans.info.num_controls}: give plans that `planspace plan` made for {plant.problem.name}."
+        )
     return plans.select(names)

@@ -28,6 +28,7 @@ from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.embed.pixels.encoder import ImageEncoder
+from planspace.errors import UsageError
 from planspace.progress import progress
 from planspace.seams import plain_settings
 from planspace.storage.checks import reject_malformed
@@ -100,7 +101,7 @@ def control_into(  # noqa: PLR0913
         What all episodes amount to.
 
     Raises:
-        UsageError: plant, embedding, settings and plans do not fit together.
+        UsageError: plant, embedding, settings, plans and starts do not fit together.
         PlanspaceError: the folder cannot be written or was made with other settings.
     """
     plant = plant.repeating(config.action_repeat)
@@ -112,6 +113,11 @@ def control_into(  # noqa: PLR0913
         joints=plant.problem.joints,
         source=plant.problem.source,
     )
+    if starts is not None and (len(starts) < num or starts.shape[1:] != (plant.space.size,)):
+        raise UsageError(
+            f"{num} episodes need as many starts of {plant.space.size} numbers, got an array of shape "
+            f"{starts.shape}."
+        )
     plans = plans if config.follow_s else None
     check_fit(plant, embedding, config, encoder, plans)
     with lock_folder(out):
@@ -163,9 +169,10 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         rows = read_rows(out / LOG)
         returns = [float(row["return"]) for row in rows]
         mean = {
-            key: float(np.mean([row.get(key, 0.0) for row in rows]))  # earlier versions followed no plans
-            for key in ("success", "real_time", "regulated", "followed")
+            key: float(np.mean([row[key] for row in rows])) for key in ("success", "real_time", "regulated")
         }
+        # runs of earlier versions followed no plans
+        followed = float(np.mean([row.get("followed", 0.0) for row in rows]))
     return ControlSummary(
         success=mean["success"],
         return_mean=float(np.mean(returns)),
@@ -174,7 +181,7 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         samples=config.samples,
         real_time=mean["real_time"],
         regulated=mean["regulated"],
-        followed=mean["followed"],
+        followed=followed,
         episodes=len(rows),
     )
 

@@ -3,6 +3,7 @@
 import pickle
 import warnings
 from collections.abc import Generator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -70,6 +71,7 @@ def control_all(  # noqa: PLR0913
         for i in indices:
             yield run_episode(controller, seed, i, num_steps, sight, start(i))
         return
+    plans = None if plans is None else replace(plans, trees=())  # they are large, and not followed
     packed = pack((plant, embedding, config, encoder, plans))
     with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
         futures = [pool.submit(_run_packed, packed, seed, i, num_steps, start(i)) for i in indices]
