@@ -9,8 +9,9 @@ that succeeded. Plans and embedding are the ready-made ones; the controller mini
 starts, without noise; `held` is the fraction of these episodes that are at the goal for their last second.
 
 Policies of 256 x 256 take 30,000 gradient steps of cloning with `--plan-noise 0.05`, and then one iteration
-of TRPO (4000 steps, `modern`, noise 0.1), because training has at least one. What the folder holds is not
-made again. Rows are added to results/rl/dagger.csv. `--table` prints the table of docs/training.md.
+of TRPO (4000 steps, `modern`, noise 0.1), because training has at least one. After the last round, a policy
+takes 120,000 gradient steps on the same episodes. What the folder holds is not made again. Rows are added to
+results/rl/dagger.csv. `--table` prints the table of docs/training.md.
 """
 
 from pathlib import Path
@@ -36,10 +37,10 @@ from planspace.tasks.observation_types import ObservationType
 from planspace.tasks.task import Task
 
 RESULTS = Path(__file__).parents[1] / "results" / "rl" / "dagger.csv"
-COLUMNS = ("task", "guided", "corrected", "round", "episodes", "held", "return_mean")
+COLUMNS = ("task", "guided", "corrected", "round", "clone", "episodes", "held", "return_mean")
 CONTROL = ControlConfig(horizon_s=0.16, samples=128, cost="time", follow_s=3.0)
 NUM_TESTS, TEST_SEED, GUIDE_SEED, LEARN_SEED = 100, 0, 7, 1000
-CLONE_STEPS, PLAN_NOISE = 30_000, 0.05
+CLONE_STEPS, LAST_CLONE_STEPS, PLAN_NOISE = 30_000, 120_000, 0.05
 
 
 def main() -> None:
@@ -53,8 +54,11 @@ def main() -> None:
     plant, folder = Plant.find(options.task), options.folder / f"{options.task}-{options.guided}"
     assert isinstance(plant.task, Task)
     runs = [control(plant, folder / "guided", options.guided, GUIDE_SEED)]
-    for number in range(options.rounds + 1):
-        policy = cloned(plant.task, runs, folder / f"policy-{number}-{options.corrected}")
+    steps = [CLONE_STEPS] * (options.rounds + 1) + [LAST_CLONE_STEPS]
+    for number, clone in enumerate(steps):
+        last = "-last" if clone == LAST_CLONE_STEPS else ""
+        name = f"policy-{min(number, options.rounds)}-{options.corrected}{last}"
+        policy = cloned(plant.task, runs, folder / name, clone)
 
         def measured(policy: Policy = policy) -> dict[str, str]:
             _, held, returns = act(plant.task, policy, NUM_TESTS, TEST_SEED)
@@ -66,7 +70,8 @@ def main() -> None:
             }
 
         key = {"task": options.task, "guided": str(options.guided), "corrected": str(options.corrected)}
-        add_missing(RESULTS, COLUMNS, rows, key | {"round": str(number)}, measured)
+        key |= {"round": str(min(number, options.rounds)), "clone": str(clone)}
+        add_missing(RESULTS, COLUMNS, rows, key, measured)
         if number < options.rounds:
             seed = LEARN_SEED + number
             states, _, _ = act(plant.task, policy, options.corrected, seed)
@@ -90,7 +95,7 @@ def successful(run: Path) -> list[Episode]:
     return [demos.episode(i) for i in range(len(demos)) if demos.success[i]]
 
 
-def cloned(task: Task, runs: list[Path], out: Path) -> Policy:
+def cloned(task: Task, runs: list[Path], out: Path, clone: int) -> Policy:
     """A policy that imitates the successful episodes of some runs."""
     info = ps.load_demos(runs[0] / EPISODES).info
     demos = Demos.from_episodes(info, [episode for run in runs for episode in successful(run)])
@@ -98,7 +103,7 @@ def cloned(task: Task, runs: list[Path], out: Path) -> Policy:
         find_algorithm("trpo", "modern"), hidden=(256, 256), critic_hidden=(64, 64), initial_std=0.1
     )
     config = TrainConfig(
-        algorithm, obs=observation(task), num_seeds=1, steps=4000, clone=CLONE_STEPS, plan_noise=PLAN_NOISE
+        algorithm, obs=observation(task), num_seeds=1, steps=4000, clone=clone, plan_noise=PLAN_NOISE
     )
     return train_policies(task, config, plans=demos, out=out).policy()
 
@@ -128,12 +133,10 @@ def observation(task: Task) -> ObservationType:
 
 def table(rows: list[dict[str, str]]) -> str:
     """What the policy of each round does."""
-    lines = ["| task | round | episodes | held | mean return |", "|---|---|---|---|---|"]
+    lines = ["| round | episodes | gradient steps | held | mean return |", "|---|---|---|---|---|"]
     for row in rows:
-        held = f"{float(row['held']):.0%}"
-        lines.append(
-            f"| `{row['task']}` | {row['round']} | {row['episodes']} | {held} | {row['return_mean']} |"
-        )
+        cells = (row["round"], row["episodes"], f"{int(row['clone']):,}", f"{float(row['held']):.0%}")
+        lines.append(f"| {' | '.join((*cells, row['return_mean']))} |")
     return "\n".join(lines)
 
 
