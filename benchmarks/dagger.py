@@ -14,6 +14,7 @@ takes 120,000 gradient steps on the same episodes. What the folder holds is not 
 results/rl/dagger.csv. `--table` prints the table of docs/training.md.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,31 +55,36 @@ def main() -> None:
     plant, folder = Plant.find(options.task), options.folder / f"{options.task}-{options.guided}"
     assert isinstance(plant.task, Task)
     runs = [control(plant, folder / "guided", options.guided, GUIDE_SEED)]
-    steps = [CLONE_STEPS] * (options.rounds + 1) + [LAST_CLONE_STEPS]
-    for number, clone in enumerate(steps):
-        last = "-last" if clone == LAST_CLONE_STEPS else ""
-        name = f"policy-{min(number, options.rounds)}-{options.corrected}{last}"
-        policy = cloned(plant.task, runs, folder / name, clone)
 
-        def measured(policy: Policy = policy) -> dict[str, str]:
-            _, held, returns = act(plant.task, policy, NUM_TESTS, TEST_SEED)
-            count = sum(len(successful(run)) for run in runs)
-            return {
-                "episodes": str(count),
-                "held": f"{held.mean():.2f}",
-                "return_mean": f"{returns.mean():.1f}",
-            }
-
+    def trained(number: int, clone: int, suffix: str = "") -> Policy:
+        """The policy of a round, whose row is added."""
+        out = folder / f"policy-{number}-{options.corrected}{suffix}"
+        policy = cloned(plant.task, runs, out, clone)
         key = {"task": options.task, "guided": str(options.guided), "corrected": str(options.corrected)}
-        key |= {"round": str(min(number, options.rounds)), "clone": str(clone)}
-        add_missing(RESULTS, COLUMNS, rows, key, measured)
-        if number < options.rounds:
-            seed = LEARN_SEED + number
-            states, _, _ = act(plant.task, policy, options.corrected, seed)
-            when = np.random.default_rng(seed).integers(len(states), size=options.corrected)
-            out = folder / f"corrected-{number}-{options.corrected}"
-            starts = states[when, np.arange(options.corrected)]
-            runs.append(control(plant, out, options.corrected, seed, starts))
+        key |= {"round": str(number), "clone": str(clone)}
+        add_missing(RESULTS, COLUMNS, rows, key, partial(measure, plant.task, policy, runs))
+        return policy
+
+    policy = trained(0, CLONE_STEPS)
+    for number in range(options.rounds):
+        seed = LEARN_SEED + number
+        states, _, _ = act(plant.task, policy, options.corrected, seed)
+        when = np.random.default_rng(seed).integers(len(states), size=options.corrected)
+        starts = states[when, np.arange(options.corrected)]
+        out = folder / f"corrected-{number}-{options.corrected}"
+        runs.append(control(plant, out, options.corrected, seed, starts))
+        policy = trained(number + 1, CLONE_STEPS)
+    trained(options.rounds, LAST_CLONE_STEPS, "-last")
+
+
+def measure(task: Task, policy: Policy, runs: list[Path]) -> dict[str, str]:
+    """How many episodes a policy learned from, and what it does."""
+    _, held, returns = act(task, policy, NUM_TESTS, TEST_SEED)
+    return {
+        "episodes": str(sum(len(successful(run)) for run in runs)),
+        "held": f"{held.mean():.2f}",
+        "return_mean": f"{returns.mean():.1f}",
+    }
 
 
 def control(plant: Plant, out: Path, num: int, seed: int, starts: np.ndarray | None = None) -> Path:

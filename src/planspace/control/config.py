@@ -55,7 +55,6 @@ class ControlConfig:
     """Cost of a horizon out of bounds or in a forbidden contact, in the same unit."""
     regulator: bool = True
     """Whether a linear regulator takes over where a simulation shows that it reaches and holds the goal."""
-
     follow_s: float = field(default=0.0, metadata=unset_if(0.0))
     """Above 0, the controller follows one of the plans it is given, where a simulation shows that a linear
     regulator along it reaches and holds the goal within this time [s]. The nearest states of plans in z are

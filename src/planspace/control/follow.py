@@ -70,9 +70,8 @@ class PlanFollower:
                 self._row = self._first_to_arrive(state, self._nearest(state))
         if self._row < 0:
             return None
-        row, simulator = np.array([self._row]), self._simulator
-        control = self._tracks.control(row, self._tracks.off(row, state[None]))[0]
-        return np.clip(control, simulator.control_low, simulator.control_high)
+        row = np.array([self._row])
+        return self._tracks.control(row, self._tracks.off(row, state[None]))[0]
 
     def _nearest(self, state: Float[np.ndarray, " state"]) -> Int[np.ndarray, " row"]:
         """The steps of plans that begin nearest in z."""
@@ -92,11 +91,7 @@ class PlanFollower:
             off, on_plan = tracks.off(at, before), left > 0
             lost = on_plan & (tracks.cost_to_go(at, off) > limit)
             controls = np.where(on_plan[:, None], tracks.control(at, off), takeover.regulator.control(before))
-            simulator.step(
-                np.clip(controls, simulator.control_low, simulator.control_high),
-                self._plant.physics_steps,
-                ids,
-            )
+            simulator.step(controls, self._plant.physics_steps, ids)
             at, left = np.where(left > 1, at + 1, at), left - 1
             held = np.where(takeover.goal.reached(simulator.states()[ids]), held + 1, 0)
             valid = simulator.allowed(NEAREST)[ids] & ~simulator.diverged()[ids]

@@ -6,7 +6,6 @@ DIR/demos/         those that ended at the goal, until they arrived: demonstrati
 DIR/log.jsonl      one row an episode: return, success, wall times
 """
 
-import hashlib
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -31,6 +30,7 @@ from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.errors import UsageError
 from planspace.progress import progress
 from planspace.seams import plain_settings
+from planspace.storage.arrays import arrays_hash
 from planspace.storage.checks import reject_malformed
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows, read_rows
@@ -124,7 +124,7 @@ def control_into(  # noqa: PLR0913
         settings = _settings(plant, embedding, config, seed, steps)
         settings |= _hash_of("pixels", encoder) | _hash_of("plans", plans)
         if starts is not None:
-            settings["starts"] = hashlib.sha256(starts.astype(float).tobytes()).hexdigest()
+            settings["starts"] = arrays_hash({"starts": starts})
         open_run(out, settings)
         source = DatasetSettings(problem=plant.problem.hash, seed=seed)
         whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))

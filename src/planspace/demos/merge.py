@@ -1,15 +1,12 @@
 """Joining datasets of the same robot, such as plans that were made on several machines."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import fields, replace
 
-import numpy as np
-
 from planspace.demos.dataset import Demos
-from planspace.demos.episode import Episode
 from planspace.demos.state_info import StateInfo
 from planspace.errors import UsageError
+from planspace.storage.arrays import arrays_hash
 
 
 def merge_demos(parts: Sequence[Demos], labels: Sequence[str] = ()) -> Demos:
@@ -38,7 +35,8 @@ def merge_demos(parts: Sequence[Demos], labels: Sequence[str] = ()) -> Demos:
             )
         for i in range(len(part)):
             episode = part.episode(i)
-            name, key = f"demonstration {i} of {label}", _key(episode)
+            name = f"demonstration {i} of {label}"
+            key = arrays_hash({"states": episode.states, "controls": episode.controls})
             if key in seen:
                 raise UsageError(
                     f"{name} equals {seen[key]}: were both made with the same seed? Leave one dataset "
@@ -55,11 +53,3 @@ def _difference(one: StateInfo, other: StateInfo) -> str:
     words = {"source": "models", "num_controls": "numbers of controls"}
     name = next(field.name for field in fields(one) if getattr(one, field.name) != getattr(other, field.name))
     return words.get(name, name.replace("_", " "))
-
-
-def _key(episode: Episode) -> bytes:
-    """A hash of the states and controls."""
-    found = hashlib.sha256()
-    for array in (episode.states, episode.controls):
-        found.update(np.ascontiguousarray(array, dtype=float).tobytes())
-    return found.digest()

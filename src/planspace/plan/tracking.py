@@ -42,6 +42,8 @@ class TrackedPlans:
     """Steps from its beginning to the end of its plan, 1 or more. The next step of a plan is the next row."""
     gains: Float[np.ndarray, "step control tangent"]
     values: Float[np.ndarray, "step tangent tangent"]
+    limits: tuple[Float[np.ndarray, " control"], Float[np.ndarray, " control"]]
+    """Lower and upper limits of the controls."""
 
     @classmethod
     def of(cls, demos: Demos, simulator: Simulator, physics_steps: int, most: int) -> "TrackedPlans":
@@ -56,6 +58,7 @@ class TrackedPlans:
         Raises:
             UsageError: no plan is as long as a step.
         """
+        limits = simulator.control_low, simulator.control_high
         duration = physics_steps * float(simulator.model.opt.timestep)
         whole, states, controls, remaining = [], [], [], []
         for i in range(len(demos)):
@@ -66,7 +69,7 @@ class TrackedPlans:
             last = slice(max(0, len(found) - most), len(found))
             whole.append(simulator.space.normalise(even.states[: len(found)]))
             states.append(whole[-1][last])
-            controls.append(np.clip(found[last], simulator.control_low, simulator.control_high))
+            controls.append(np.clip(found[last], *limits))
             remaining.append(np.arange(len(found), 0, -1)[last])
         steps = np.concatenate(states), np.concatenate(controls), np.concatenate(remaining)
         if not len(steps[0]):
@@ -74,18 +77,18 @@ class TrackedPlans:
         following = np.where(steps[2] > 1, np.arange(len(steps[2])) + 1, -1)
         spread = deviations(simulator.space, np.concatenate(whole))
         gains, values = regulators_along(simulator, *steps[:2], following, physics_steps, spread)
-        return cls(simulator.space, *steps, gains, values)
+        return cls(simulator.space, *steps, gains, values, limits)
 
     def control(
         self, rows: Int[np.ndarray, " batch"], off: Float[np.ndarray, "batch tangent"]
     ) -> Float[np.ndarray, "batch control"]:
-        """The regulator's control, which may exceed its limits.
+        """The regulator's control, clipped to its limits.
 
         Args:
             rows: a step of a plan each.
             off: the tangents that lead from the states of the plans to the present ones; see `off`.
         """
-        return self.controls[rows] - np.einsum("kij,kj->ki", self.gains[rows], off)
+        return np.clip(self.controls[rows] - np.einsum("kij,kj->ki", self.gains[rows], off), *self.limits)
 
     def off(
         self, rows: Int[np.ndarray, " batch"], states: Float[np.ndarray, "batch state"]

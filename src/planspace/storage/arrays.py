@@ -107,10 +107,11 @@ def _read_arrays(path: Path, sha256: str | None) -> tuple[Arrays, Any]:
 
 
 def _inner_text(arrays: Arrays, metadata: Any) -> str:
-    return json.dumps({"about": metadata, CHECKSUM_KEY: _arrays_hash(arrays, metadata)}, sort_keys=True)
+    return json.dumps({"about": metadata, CHECKSUM_KEY: arrays_hash(arrays, metadata)}, sort_keys=True)
 
 
-def _arrays_hash(arrays: Arrays, metadata: Any) -> str:
+def arrays_hash(arrays: Arrays, metadata: Any = None) -> str:
+    """SHA-256 of named arrays, with their types and shapes, and of plain data."""
     digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     for name, array in sorted(arrays.items()):
         digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())

@@ -12,7 +12,6 @@ from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.demos.render import FilmConfig, render_demos, render_side_by_side
 from planspace.embed.embedding import Embedding
-from planspace.errors import UsageError
 from planspace.figures.controlled_paths import PLANS, PlotSpace, draw_distances, draw_paths
 from planspace.study.figures import plain_layout
 from planspace.study.html import embedded, write_page
@@ -47,19 +46,16 @@ def write_control_report(
         summary: what the episodes amount to.
         config: how the controller looked ahead.
         embedding: draws paths in z; None leaves them out.
-        plans: plans to show beside the episodes.
+        plans: plans with the same states, to show beside the episodes.
         film: whether to film the first episodes. A film that exists is kept.
 
     Returns:
         The path of the report.
 
     Raises:
-        UsageError: the plans have other states than the episodes.
         PlanspaceError: a file cannot be read or written, or the robot cannot be drawn.
     """
     episodes = load_demos(out / EPISODES)
-    if plans is not None and plans.info.names != episodes.info.names:
-        raise UsageError("the plans have other states than the episodes: give plans of the same problem.")
     if film and not (out / FILM).exists():
         film_beside_plans(episodes, plans, out / FILM)
     figures = {"paths": "", "distance": ""}
