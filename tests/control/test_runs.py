@@ -12,6 +12,7 @@ from planspace.control import runs
 from planspace.control.config import ControlConfig
 from planspace.control.plant import Plant
 from planspace.control.runs import control_into
+from planspace.tasks.task_hash import earlier_hash
 
 from ..cli.calls import call
 
@@ -47,6 +48,19 @@ def test_episodes_start_where_they_are_told(tmp_path: Path) -> None:
         control_into(PENDULUM, None, CONFIG, tmp_path, starts=starts[:1], **given)
     with pytest.raises(PlanspaceError, match="starts"):
         control_into(PENDULUM, None, CONFIG, tmp_path, starts=-starts, **given)
+
+
+def test_a_run_that_recorded_an_earlier_hash_of_the_task_goes_on(tmp_path: Path) -> None:
+    control(tmp_path, 1, seconds=0.1)
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["task_sha256"] == PENDULUM.task.hash != earlier_hash(PENDULUM.task)
+    for recorded in (earlier_hash(PENDULUM.task), "0"):
+        (tmp_path / "config.json").write_text(json.dumps({**config, "task_sha256": recorded}))
+        if recorded == "0":
+            with pytest.raises(PlanspaceError, match="task_sha256"):
+                control(tmp_path, 2, seconds=0.1)
+        else:
+            assert control(tmp_path, 2, seconds=0.1).episodes == 2
 
 
 @pytest.mark.nightly

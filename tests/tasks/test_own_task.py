@@ -19,6 +19,8 @@ from planspace.envs import register_task
 from planspace.errors import PlanspaceError, UsageError
 from planspace.tasks.catalog import TASKS, add_task, find_task
 from planspace.tasks.check_task import check_task
+from planspace.tasks.task import Task
+from planspace.tasks.task_hash import earlier_hash, with_todays_hash
 
 from .slide_and_spin import MODEL, TASK
 
@@ -203,6 +205,21 @@ def test_the_hash_follows_values_that_functions_read(monkeypatch: pytest.MonkeyP
     assert TASK.hash != before
     poses = find_task("arm"), find_task("pendulum-swingup")
     assert poses[0].hash != replace(poses[0], reward=poses[1].reward).hash  # methods of other poses
+
+
+def test_the_hash_follows_the_content_of_files_that_functions_read(tmp_path: Path) -> None:
+    def rewarded_by(path: Path) -> Task:
+        return replace(TASK, reward=lambda *_: np.full(1, float(path.read_text())))
+
+    texts = {"a/number": "1.0", "b/number": "1.0", "c/number": "2.0"}
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(text)
+    one, moved, other = (rewarded_by(tmp_path / name) for name in texts)
+    assert one.hash == moved.hash != other.hash
+    assert earlier_hash(one) != earlier_hash(moved)
+    assert with_todays_hash({"task_sha256": earlier_hash(moved)}, moved) == {"task_sha256": moved.hash}
+    assert with_todays_hash({"task_sha256": other.hash}, moved) == {"task_sha256": other.hash}
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from planspace.storage.checks import reject_malformed
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows, read_rows
 from planspace.storage.runs import lock_folder, open_run
+from planspace.tasks.task_hash import with_todays_hash
 
 EPISODES, DEMOS, LOG = "episodes", "demos", "log.jsonl"
 
@@ -125,7 +127,7 @@ def control_into(  # noqa: PLR0913
         settings |= _hash_of("pixels", encoder) | _hash_of("plans", plans)
         if starts is not None:
             settings["starts"] = arrays_hash({"starts": starts})
-        open_run(out, settings)
+        open_run(out, settings, update=partial(with_todays_hash, task=plant.task))
         source = DatasetSettings(problem=plant.problem.hash, seed=seed)
         whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))
         remaining = range(whole.next_index, num)

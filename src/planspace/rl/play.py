@@ -25,11 +25,12 @@ from planspace.rl.goal_observation import GoalObservation
 from planspace.rl.observe import Observer
 from planspace.rl.pixels import PixelObservations
 from planspace.rl.saved_policy import Policy
-from planspace.tasks.action_repeat import repeat_actions
+from planspace.tasks.action_repeat import repeat_actions, single_actions
 from planspace.tasks.catalog import find_task
 from planspace.tasks.dm_control.suite import DMC_PREFIX
 from planspace.tasks.gymnasium import AnyTask, GymTask, parse_gym_task
 from planspace.tasks.stored_task import stored_task, task_content
+from planspace.tasks.task_hash import with_todays_hash
 
 
 def make_env(
@@ -77,7 +78,7 @@ def _task_of(policy: Policy, task: AnyTask | None) -> AnyTask:
         )
     if task.name != name:
         raise UsageError(f"{policy.run} was trained on the task {name!r}, got {task.name!r}.")
-    if known and known != task_content(task):
+    if known and with_todays_hash(known, single_actions(task)) != task_content(task):
         raise UsageError(f"{policy.run} was trained on another version of the task {name!r}.")
     return repeat_actions(task, about.get("action_repeat", 1))
 

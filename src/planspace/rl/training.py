@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +51,7 @@ from planspace.tasks.action_repeat import repeat_actions, single_actions
 from planspace.tasks.gymnasium import AnyTask, find_training_task
 from planspace.tasks.observation_types import find_name
 from planspace.tasks.stored_task import save_task
+from planspace.tasks.task_hash import with_todays_hash
 from planspace.workers import count_cores
 
 CHECKPOINT_EVERY = 10
@@ -142,7 +144,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     temporary = TemporaryFolder() if out is None else None
     run = temporary.path if temporary else Path(str(out))
     with lock_folder(run):
-        open_run(run, run_settings(task, config, given, used))
+        settings = run_settings(task, config, given, used)
+        open_run(run, settings, update=partial(with_todays_hash, task=single_actions(task)))
         save_task(task, run)
         if (run / HISTORY).exists():
             history = load_history(run, (config.iterations, config.num_seeds))

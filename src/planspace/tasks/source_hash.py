@@ -5,8 +5,9 @@ closure, and by the functions of its module that it calls. Code that it imports 
 """
 
 import functools
+import hashlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import FunctionType, MethodType
@@ -18,39 +19,46 @@ NESTING = 20
 """Values nested more deeply than this are described by their type."""
 
 
-def function_settings(value: Any, depth: int = 0) -> Any:
+def function_settings(value: Any, depth: int = 0, *, describe_path: Callable[[Path], Any] = str) -> Any:
     """Describe a value, or a function by what it does, as plain data for JSON.
 
     Args:
         value: plain data, arrays, dataclasses of them, or functions.
         depth: how deeply it is nested.
+        describe_path: describes paths, by default by their names; see `file_settings`.
     """
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Path):
-        return str(value)
+        return describe_path(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if depth > NESTING:
         return type(value).__qualname__
-    down = functools.partial(function_settings, depth=depth + 1)
+    down = functools.partial(function_settings, depth=depth + 1, describe_path=describe_path)
     if isinstance(value, Mapping):
         return {str(key): down(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [down(item) for item in value]
-    return _callable_settings(value, depth)
+    return _callable_settings(value, down)
 
 
-def _callable_settings(value: Any, depth: int) -> Any:
-    """Describe a function, a method with its object, or an object of a class."""
-    down = functools.partial(function_settings, depth=depth + 1)
+def file_settings(path: Path) -> Any:
+    """Describe a file by its content, so that it may move; another path by its name."""
+    if not path.is_file():
+        return str(path)
+    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def _callable_settings(value: Any, down: Callable[[Any], Any]) -> Any:
+    """Describe a function, a method with its object, or an object of a class; `down` what they hold."""
     if isinstance(value, MethodType) and hasattr(value.__self__, "hash_content"):  # it has its own version
         return {"method": value.__name__, "of": value.__self__.hash_content()}
     value = (
         inspect.unwrap(value) if isinstance(value, FunctionType) else value
     )  # its source has the decorators
     if isinstance(value, FunctionType):
-        return _code(value, depth)
+        return _code(value, down)
     if isinstance(value, MethodType):
         return {"method": down(value.__func__), "of": down(value.__self__)}
     if isinstance(value, functools.partial):
@@ -60,7 +68,7 @@ def _callable_settings(value: Any, depth: int) -> Any:
     return _source(value if isinstance(value, type) else type(value))
 
 
-def _code(function: FunctionType, depth: int) -> dict[str, Any]:
+def _code(function: FunctionType, down: Callable[[Any], Any]) -> dict[str, Any]:
     """The source of a function with the values and functions of its own module that it reads."""
     read: dict[str, Any] = {}
     for name in function.__code__.co_names:
@@ -72,7 +80,7 @@ def _code(function: FunctionType, depth: int) -> dict[str, Any]:
         read[name] = cell.cell_contents
     if read.get(function.__name__) is function:  # it calls itself
         del read[function.__name__]
-    described = {name: function_settings(value, depth + 1) for name, value in sorted(read.items())}
+    described = {name: down(value) for name, value in sorted(read.items())}
     return {"source": _source(function), "reads": described}
 
 

@@ -12,7 +12,7 @@ A function must treat each environment by itself: what it returns for one may no
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,6 @@ from planspace.errors import UsageError, quoted
 from planspace.mjcf.source import ModelFile, ModelSource
 from planspace.physics.angles import wrap
 from planspace.tasks.observation_types import OBSERVATION_TYPES, ObservationType, RewardType, find_name
-from planspace.tasks.source_hash import function_settings
 
 if TYPE_CHECKING:  # importing planspace registers its tasks, and must not import MuJoCo
     import mujoco
@@ -187,17 +186,13 @@ class Task:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of everything that defines the task: model, numbers and the source of its functions."""
-        from planspace.storage.json_files import json_hash
+        """SHA-256 of everything that defines the task: model, numbers and the source of its functions.
 
-        names = [f.name for f in fields(self) if f.name not in ("model", "problem")]
-        settings = {name: function_settings(getattr(self, name)) for name in names}
-        for name, default in (("draw_starts", None), ("action_repeat", 1)):  # earlier versions had neither
-            if getattr(self, name) == default:
-                del settings[name]
-        source = self.source
-        settings["problem"] = self.problem_name
-        return json_hash({**settings, "model": source.text if source.is_text else source.plain()})
+        A file that a function reads, such as the model of a pose, counts by its content.
+        """
+        from planspace.tasks.task_hash import task_hash
+
+        return task_hash(self)
 
     # --- starts, observations and rewards ---------------------------------------------------------------
 
