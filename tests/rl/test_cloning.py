@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.random as jr
 import numpy as np
 import pytest
@@ -64,9 +65,10 @@ def error_of(arm: Arm, state: Any) -> float:
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_policy_imitates_plans_before_training_and_under_a_penalty(name: str) -> None:
     algorithm: Any = ALGORITHMS[name]
-    arm = make_arm(algorithm, clone=1500, clone_weight=100.0)
+    cloning, arm = make_arm(algorithm, clone=1500), make_arm(algorithm, clone_weight=100.0)
     first = algorithm.init(arm, key=jr.key(0))
-    assert error_of(arm, algorithm.clone(arm, first, key=jr.key(1))) < 0.1 * error_of(arm, first)
+    cloned = algorithm.clone(cloning, first, key=jr.key(1))
+    assert error_of(cloning, cloned) < 0.1 * error_of(cloning, first)
     rollout = algorithm.collect(arm, [first], [np.random.default_rng(0)]).of_seed(0)
     error = {
         done: error_of(arm, algorithm.update(arm.at(done), first, rollout, key=jr.key(2))[0])
@@ -75,6 +77,18 @@ def test_a_policy_imitates_plans_before_training_and_under_a_penalty(name: str) 
     free = make_arm(algorithm)
     after = algorithm.update(free, first, rollout, key=jr.key(2))[0]
     assert error_of(free, after) == error[0.5] > error[0.0] + 0.02
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_observations_stay_standardised_as_those_of_the_plans(name: str) -> None:
+    algorithm: Any = ALGORITHMS[name]
+    arm = make_arm(algorithm, clone=1)
+    assert arm.plan_transitions is not None
+    cloned = algorithm.clone(arm, algorithm.init(arm, key=jr.key(0)), key=jr.key(1))
+    np.testing.assert_allclose(cloned.statistics.mean, arm.plan_transitions.obs.mean(axis=0), atol=1e-6)
+    rollout = algorithm.collect(arm, [cloned], [np.random.default_rng(0)]).of_seed(0)
+    after = algorithm.update(arm, cloned, rollout, key=jr.key(2))[0]
+    jax.tree.map(np.testing.assert_array_equal, after.statistics, cloned.statistics)
 
 
 def test_the_penalty_decreases_linearly_to_0() -> None:

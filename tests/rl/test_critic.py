@@ -51,3 +51,10 @@ def test_statistics_of_parts_equal_those_of_all_observations(rng: np.random.Gene
     np.testing.assert_allclose(parts.squares, whole.squares, rtol=1e-9)
     np.testing.assert_allclose(parts(obs).std(axis=1), 1.0, rtol=1e-3)
     assert np.abs(parts(obs + 1e6)).max() == 10.0
+
+
+def test_a_number_that_does_not_vary_in_plans_is_only_shifted(rng: np.random.Generator) -> None:
+    obs = np.hstack([rng.normal(3.0, 2.0, (300, 1)), np.full((300, 1), 0.7, np.float32)])
+    found = ObsStatistics.of(obs)
+    np.testing.assert_allclose(found.std, [obs[:, 0].std(), 1.0], rtol=1e-6)
+    np.testing.assert_allclose(found(np.array([[3.0, 1.2]]))[0, 1], 0.5, atol=1e-6)

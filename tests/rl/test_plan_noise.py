@@ -1,7 +1,9 @@
 """Steps beside plans, with controls that lead back to them."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import gymnasium.envs.mujoco
 import numpy as np
 import pytest
 
@@ -13,16 +15,16 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import COPIES, beside_plans
 from planspace.rl.plans import Plans
-from planspace.rl.settable import SettableGym, SettableTask
+from planspace.rl.settable import SettableTask
 from planspace.tasks.catalog import TASKS
-from planspace.tasks.gymnasium import GymTask
+from planspace.tasks.gymnasium import AnyTask, GymTask
 
 TASK = TASKS["cartpole-swingup"]
 CLONING = TrainConfig(num_seeds=1, clone=1)
 
 
-def plans_of(demos: Demos, noise: float) -> Plans:
-    found = Plans.of(replace(CLONING, plan_noise=noise), Observer(TASK, "raw", "none", "both"), demos)
+def plans_of(demos: Demos, noise: float, task: AnyTask = TASK) -> Plans:
+    found = Plans.of(replace(CLONING, plan_noise=noise), Observer(task, "raw", "none", "both"), demos)
     assert found is not None
     return found
 
@@ -74,11 +76,22 @@ def test_the_controls_lead_back(rng: np.random.Generator) -> None:
     assert angles["regulated"] < 0.01 < 0.5 < angles["free"]
 
 
+def test_position_servos_lead_back_by_the_controls_of_the_plan(demos: Demos, tmp_path: Path) -> None:
+    own = Path(gymnasium.envs.mujoco.__file__).with_name("assets") / "inverted_pendulum.xml"
+    (tmp_path / "servo.xml").write_text(own.read_text().replace("<motor", "<position"))
+    task = GymTask("InvertedPendulum-v5", kwargs={"xml_file": str(tmp_path / "servo.xml")})
+    steps = plans_of(demos, 0.05, task).transitions()
+    assert steps is not None
+    count = len(steps.actions) // (1 + COPIES)
+    np.testing.assert_array_equal(steps.actions, np.tile(steps.actions[:count], (1 + COPIES, 1)))
+    moves = (steps.obs[count:] - np.tile(steps.obs[:count], (COPIES, 1))) / steps.obs[:count].std(axis=0)
+    assert (moves.std(axis=0) > 0.4 * 0.05).all() and moves.std() < 0.05
+
+
 def test_what_cannot_be_done_is_refused(demos: Demos) -> None:
     with pytest.raises(UsageError, match="no step along plans is used: set `replay` or `clone`"):
         TrainConfig(resets=0.5, plan_noise=0.1)
     with pytest.raises(UsageError, match="plan_noise"):
         TrainConfig(clone=1, plan_noise=-0.1)
-    other = replace(plans_of(demos, 0.1), settable=SettableGym(GymTask("InvertedPendulum-v5")))
-    with pytest.raises(UsageError, match="--plan-noise linearises the model of a task of planspace"):
-        other._check_steps()
+    with pytest.raises(UsageError, match="are position servos, but gym:InvertedPendulum-v5 has others"):
+        plans_of(demos, 0.1, GymTask("InvertedPendulum-v5"))

@@ -1,6 +1,6 @@
 """The environment of a `GymTask`: flat observations, clipped actions, and a planning state."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -8,8 +8,11 @@ from gymnasium.spaces import Box, flatten
 from jaxtyping import Float
 
 from planspace.errors import PlanspaceError
-from planspace.tasks.env_state import state_reader
+from planspace.tasks.env_state import JointReader, state_reader
 from planspace.tasks.gymnasium import GymTask
+
+if TYPE_CHECKING:  # it imports MuJoCo, which an environment may do without
+    from planspace.physics.space import StateSpace
 
 STATE_TOLERANCE = 1e-6
 """Difference between a state that was set and the state that is then read."""
@@ -53,6 +56,11 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if isinstance(step, int | float) and step > 0:
             return float(step)
         return 1.0 / (self.metadata.get("render_fps") or DEFAULT_FPS)
+
+    @property
+    def joint_space(self) -> "StateSpace | None":
+        """The space of its MuJoCo joints, whose numbers come first in what can be set; None without them."""
+        return self._reader.space if isinstance(self._reader, JointReader) else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

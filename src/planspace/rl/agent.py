@@ -116,12 +116,12 @@ def matched(hidden: tuple[int, ...], num_obs: int, num_more: int, num_outputs: i
 def clone(settings: OnPolicy, arm: Arm, state: AgentState, *, key: Key[Array, ""]) -> AgentState:
     """The state after gradient steps that bring the mean action to the controls of plans.
 
-    Observations are then standardised as those of the plans. The standard deviation of actions stays.
+    From then on, observations are standardised as those of the plans. The deviation of actions stays.
     """
     assert arm.plan_transitions is not None
     statistics = state.statistics
     if settings.normalise_obs:
-        statistics = statistics.with_more(arm.plan_transitions.obs)
+        statistics = ObsStatistics.of(arm.plan_transitions.obs)
     seen = AgentState(state.policy, state.optimiser, state.critic, statistics)
     examples = _examples(settings, arm, seen)
     policy = imitate(state.policy, mean_action, examples, arm.config.clone, key=key)
@@ -176,7 +176,7 @@ def update(
         _rows(obs[..., arm.observer.critic_columns]), rollout.step.ravel(), returns.ravel(), key=critic_key
     )
     statistics = state.statistics
-    if settings.normalise_obs:
+    if settings.normalise_obs and not arm.config.clone:
         statistics = statistics.with_more(_rows(rollout.obs))
     numbers = {
         name: float(getattr(info, name)) for name in ("kl", "entropy", "loss", "improvement", "skipped")

@@ -1,4 +1,8 @@
-"""Standardises observations by the mean and standard deviation that each seed has seen so far."""
+"""Standardises observations by the mean and standard deviation that each seed has seen so far.
+
+With cloning, those of the plans are used throughout: a policy that imitates plans is a function of the
+standardised observation, and while the mean and deviation moved, so would what the policy does.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,6 +14,8 @@ BOUND = 10.0
 """Standardised observations are clipped to this."""
 LEAST_VARIANCE = 1e-8
 """Added to the variance, so that it is never divided by 0."""
+CONSTANT = 1e-12
+"""A number whose variance over plans is at most this does not vary."""
 
 
 class ObsStatistics(NamedTuple):
@@ -26,6 +32,13 @@ class ObsStatistics(NamedTuple):
     def empty(cls, num_obs: int) -> "ObsStatistics":
         """Statistics of no observation; they leave observations unchanged."""
         return cls(np.zeros(()), np.zeros(num_obs), np.zeros(num_obs))
+
+    @classmethod
+    def of(cls, obs: Float[np.ndarray, "sample obs"]) -> "ObsStatistics":
+        """Statistics of these observations. A number that does not vary counts as varying by 1."""
+        found = cls.empty(obs.shape[-1]).with_more(obs)
+        constant = found.squares <= CONSTANT * found.num
+        return found._replace(squares=np.where(constant, found.num, found.squares))
 
     @classmethod
     def stacked(cls, parts: "Sequence[ObsStatistics]") -> "ObsStatistics":

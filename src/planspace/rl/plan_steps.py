@@ -54,7 +54,6 @@ def plan_steps(
     rows, controls = rows[kept], np.clip(np.concatenate(parts)[kept], *settable.limits)
     states = settable.normalise(demos.states)[rows]
     if noise:
-        assert isinstance(settable, SettableTask), "`Plans` checks this"
         following = next_rows(demos, rows, settable.duration)
         beside, corrections = beside_plans(settable, states, controls, following, noise)
         kept = settable.goes_on(beside)
@@ -78,16 +77,19 @@ def plan_steps(
 
 
 def beside_plans(
-    settable: SettableTask,
-    states: Float[np.ndarray, "step state"],
+    settable: Settable,
+    states: Float[np.ndarray, "step settable"],
     controls: Float[np.ndarray, "step control"],
     following: Int[np.ndarray, " step"],
     noise: float,
-) -> tuple[Float[np.ndarray, "copy state"], Float[np.ndarray, "copy control"]]:
+) -> tuple[Float[np.ndarray, "copy settable"], Float[np.ndarray, "copy control"]]:
     """States beside the plans, and controls that lead from there back to the plan.
 
-    The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. The
-    controls are those of a linear regulator along the plan (`regulators_along`), clipped to their limits.
+    The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. It
+    moves joints; other numbers that are set, such as where an object stands, keep their values. The controls
+    are those of a linear regulator along the plan (`regulators_along`), clipped to their limits. A Gymnasium
+    environment keeps those of the plan: its actuators are position servos, which lead back by themselves;
+    `Plans` checks this.
 
     Args:
         settable: takes the steps of the task.
@@ -99,14 +101,21 @@ def beside_plans(
     Returns:
         `COPIES` copies of all states, one after another.
     """
-    simulator, rng = settable.simulator, np.random.default_rng(0)
-    spread = deviations(simulator.space, states)
-    gains, _ = regulators_along(simulator, states, controls, following, settable.physics_steps, spread)
+    space, rng = settable.space, np.random.default_rng(0)
+    assert space is not None, "`Plans` checks this"
+    joints = states[:, : space.size]
+    spread = deviations(space, joints)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
-    corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
-    beside = settable.normalise(simulator.space.integrate(states, moves).reshape(-1, states.shape[1]))
-    return beside, np.clip(corrected, *settable.limits).reshape(-1, controls.shape[1])
+    corrected = np.broadcast_to(controls, (COPIES, *controls.shape))
+    if isinstance(settable, SettableTask):
+        gains, _ = regulators_along(
+            settable.simulator, joints, controls, following, settable.physics_steps, spread
+        )
+        corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
+    beside = np.tile(states, (COPIES, 1))
+    beside[:, : space.size] = space.integrate(joints, moves).reshape(-1, space.size)
+    return settable.normalise(beside), np.clip(corrected, *settable.limits).reshape(-1, controls.shape[1])
 
 
 def _goals(demos: Demos, rows: Int[np.ndarray, " step"]) -> Float[np.ndarray, "step settable"]:

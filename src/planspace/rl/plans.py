@@ -18,7 +18,7 @@ from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
 from planspace.rl.plan_steps import plan_steps
 from planspace.rl.progress import Progress
-from planspace.rl.settable import Settable, SettableTask, find_settable
+from planspace.rl.settable import Settable, SettableGym, find_settable
 from planspace.rl.transitions import Transitions
 from planspace.tasks.gymnasium import AnyTask
 from planspace.tasks.task import Task
@@ -193,10 +193,11 @@ class Plans:
                 f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
                 f"{found}: use --resets."
             )
-        if self.config.plan_noise and not isinstance(self.settable, SettableTask):
+        if self.config.plan_noise and isinstance(self.settable, SettableGym) and not self.settable.has_servos:
             raise UsageError(
-                f"--plan-noise linearises the model of a task of planspace, and {self.task.name} is none: "
-                "leave it out."
+                f"--plan-noise needs controls that lead back to a plan. They are computed for tasks of "
+                f"planspace, and those of a plan do where all actuators are position servos, but "
+                f"{self.task.name} has others: leave it out."
             )
         if self.config.replay and self.config.shaping != "none":
             raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")

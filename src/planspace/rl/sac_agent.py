@@ -112,12 +112,12 @@ def new_state(settings: SAC, arm: Arm, *, key: Key[Array, ""]) -> SACState:
 def clone(settings: SAC, arm: Arm, state: SACState, *, key: Key[Array, ""]) -> SACState:
     """The state after gradient steps that bring the mean action to the controls of plans.
 
-    Observations are then standardised as those of the plans.
+    From then on, observations are standardised as those of the plans.
     """
     steps, statistics = arm.plan_transitions, state.statistics
     assert steps is not None
     if settings.normalise_obs:
-        statistics = statistics.with_more(steps.obs)
+        statistics = ObsStatistics.of(steps.obs)
     reader = _reader(arm, statistics if settings.normalise_obs else None)
     examples = _examples(reader, list(map(jnp.asarray, steps)), np.zeros((), np.float32))
     actor = imitate(state.learner.actor, mean_action, examples, arm.config.clone, key=key)
@@ -195,7 +195,9 @@ def update(
         raise Diverged
     replay = _with_more(state.replay, new, int(state.num_steps))
     num_steps = np.asarray(state.num_steps + len(new.rewards))
-    statistics = state.statistics.with_more(new.obs) if settings.normalise_obs else state.statistics
+    statistics = state.statistics
+    if settings.normalise_obs and not arm.config.clone:
+        statistics = statistics.with_more(new.obs)
     learner, numbers = state.learner, dict.fromkeys(UpdateInfo._fields, np.nan)
     if num_steps > settings.learning_starts:
         keys = jr.split(key, max(1, round(settings.updates_per_step * len(new.rewards))))

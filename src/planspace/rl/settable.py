@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float
 from planspace.envs.batch import TaskBatch
 from planspace.envs.gymnasium_env import GymTaskEnv
 from planspace.physics.simulator import Simulator
+from planspace.physics.space import StateSpace
 from planspace.progress import progress_over
 from planspace.rl.task_goal import has_goal_states
+from planspace.tasks.env_state import mujoco_of
 from planspace.tasks.gymnasium import AnyTask, GymTask
 from planspace.tasks.observation_types import RewardType
 from planspace.tasks.task import Task
@@ -48,6 +50,11 @@ class Settable(Protocol):
     @property
     def duration(self) -> float:
         """Duration of a step [s]."""
+        ...
+
+    @property
+    def space(self) -> StateSpace | None:
+        """The space of the joints, whose numbers come first; None if no joints are known."""
         ...
 
     def normalise(self, values: Float[np.ndarray, "row settable"]) -> Float[np.ndarray, "row settable"]:
@@ -106,6 +113,11 @@ class SettableTask:
     def duration(self) -> float:
         """Duration of a step [s]."""
         return self.physics_steps * float(self._batch.simulator.model.opt.timestep)
+
+    @property
+    def space(self) -> StateSpace:
+        """The state space of the task."""
+        return self.task.space
 
     def normalise(self, values: Float[np.ndarray, "row state"]) -> Float[np.ndarray, "row state"]:
         """The same states with quaternions of length one."""
@@ -176,6 +188,20 @@ class SettableGym:
     def duration(self) -> float:
         """Duration of a step [s]."""
         return self._env.step_time
+
+    @property
+    def space(self) -> StateSpace | None:
+        """The space of the MuJoCo joints; None if the environment has a state of its own."""
+        return self._env.joint_space
+
+    @property
+    def has_servos(self) -> bool:
+        """Whether the robot has MuJoCo joints, and all its actuators are position servos."""
+        found = mujoco_of(self._env.inner)
+        if self.space is None or found is None:
+            return False
+        feedback = found[0].actuator_biasprm[:, 1]  # force for each metre or radian
+        return bool((feedback < 0).all())
 
     def normalise(self, values: Float[np.ndarray, "row settable"]) -> Float[np.ndarray, "row settable"]:
         """The same states."""
