@@ -10,8 +10,9 @@ starts, without noise; `held` is the fraction of these episodes that are at the 
 
 Policies of 256 x 256 take 30,000 gradient steps of cloning with `--plan-noise 0.05`, and then one iteration
 of TRPO (4000 steps, `modern`, noise 0.1), because training has at least one. After the last round, a policy
-takes 120,000 gradient steps on the same episodes. What the folder holds is not made again. Rows are added to
-results/rl/dagger.csv. `--table` prints the table of docs/training.md.
+takes 120,000 gradient steps on the same episodes, and `--further N` trains another such policy by TRPO for N
+steps. What the folder holds is not made again. Rows are added to results/rl/dagger.csv. `--table` prints the
+table of docs/training.md.
 """
 
 from functools import partial
@@ -38,10 +39,12 @@ from planspace.tasks.observation_types import ObservationType
 from planspace.tasks.task import Task
 
 RESULTS = Path(__file__).parents[1] / "results" / "rl" / "dagger.csv"
-COLUMNS = ("task", "guided", "corrected", "round", "clone", "episodes", "held", "return_mean")
+COLUMNS = ("task", "guided", "corrected", "round", "clone", "steps", "episodes", "held", "return_mean")
 CONTROL = ControlConfig(horizon_s=0.16, samples=128, cost="time", follow_s=3.0)
 NUM_TESTS, TEST_SEED, GUIDE_SEED, LEARN_SEED = 100, 0, 7, 1000
 CLONE_STEPS, LAST_CLONE_STEPS, PLAN_NOISE = 30_000, 120_000, 0.05
+STEPS = 4000
+"""Environment steps of training: one iteration."""
 
 
 def main() -> None:
@@ -51,17 +54,22 @@ def main() -> None:
     parser.add_argument("--guided", type=int, default=60, metavar="N", help="episodes of round 0")
     parser.add_argument("--corrected", type=int, default=120, metavar="N", help="episodes of a later round")
     parser.add_argument("--rounds", type=int, default=7, metavar="N", help="rounds after round 0")
+    parser.add_argument(
+        "--further", type=int, default=0, metavar="N", help="steps of TRPO after the last round"
+    )
     options, rows = parse(parser, RESULTS, table)
+    if 0 < options.further <= STEPS:
+        parser.error(f"--further must be more than the {STEPS} steps of every other policy")
     plant, folder = Plant.find(options.task), options.folder / f"{options.task}-{options.guided}"
     assert isinstance(plant.task, Task)
     runs = [control(plant, folder / "guided", options.guided, GUIDE_SEED)]
 
-    def trained(number: int, clone: int, suffix: str = "") -> Policy:
+    def trained(number: int, clone: int, suffix: str = "", steps: int = STEPS) -> Policy:
         """The policy of a round, whose row is added."""
         out = folder / f"policy-{number}-{options.corrected}{suffix}"
-        policy = cloned(plant.task, runs, out, clone)
+        policy = cloned(plant.task, runs, out, clone, steps)
         key = {"task": options.task, "guided": str(options.guided), "corrected": str(options.corrected)}
-        key |= {"round": str(number), "clone": str(clone)}
+        key |= {"round": str(number), "clone": str(clone), "steps": str(steps)}
         add_missing(RESULTS, COLUMNS, rows, key, partial(measure, plant.task, policy, runs))
         return policy
 
@@ -75,6 +83,8 @@ def main() -> None:
         runs.append(control(plant, out, options.corrected, seed, starts))
         policy = trained(number + 1, CLONE_STEPS)
     trained(options.rounds, LAST_CLONE_STEPS, "-last")
+    if options.further:
+        trained(options.rounds, LAST_CLONE_STEPS, f"-further-{options.further}", options.further)
 
 
 def measure(task: Task, policy: Policy, runs: list[Path]) -> dict[str, str]:
@@ -101,15 +111,15 @@ def successful(run: Path) -> list[Episode]:
     return [demos.episode(i) for i in range(len(demos)) if demos.success[i]]
 
 
-def cloned(task: Task, runs: list[Path], out: Path, clone: int) -> Policy:
-    """A policy that imitates the successful episodes of some runs."""
+def cloned(task: Task, runs: list[Path], out: Path, clone: int, steps: int) -> Policy:
+    """A policy that imitates the successful episodes of some runs, and then trains for some steps."""
     info = ps.load_demos(runs[0] / EPISODES).info
     demos = Demos.from_episodes(info, [episode for run in runs for episode in successful(run)])
     algorithm = with_settings(
         find_algorithm("trpo", "modern"), hidden=(256, 256), critic_hidden=(64, 64), initial_std=0.1
     )
     config = TrainConfig(
-        algorithm, obs=observation(task), num_seeds=1, steps=4000, clone=clone, plan_noise=PLAN_NOISE
+        algorithm, obs=observation(task), num_seeds=1, steps=steps, clone=clone, plan_noise=PLAN_NOISE
     )
     return train_policies(task, config, plans=demos, out=out).policy()
 
@@ -139,9 +149,13 @@ def observation(task: Task) -> ObservationType:
 
 def table(rows: list[dict[str, str]]) -> str:
     """What the policy of each round does."""
-    lines = ["| round | episodes | gradient steps | held | mean return |", "|---|---|---|---|---|"]
+    lines = [
+        "| round | episodes | gradient steps | steps of TRPO | held | mean return |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in rows:
-        cells = (row["round"], row["episodes"], f"{int(row['clone']):,}", f"{float(row['held']):.0%}")
+        cells = (row["round"], row["episodes"], f"{int(row['clone']):,}", f"{int(row['steps']):,}")
+        cells += (f"{float(row['held']):.0%}",)
         lines.append(f"| {' | '.join((*cells, row['return_mean']))} |")
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from planspace import Controller, Embedding, UsageError, load_demos, load_embedding
+from planspace.control import follow
 from planspace.control.config import ControlConfig
 from planspace.control.episodes import run_episode
 from planspace.demos.dataset import Demos
@@ -23,7 +24,10 @@ def controller_of(embedding: Embedding, demos: Demos, config: ControlConfig = CO
     return Controller("cartpole-swingup", embedding, config, plans=demos)
 
 
-def test_a_plan_is_followed_from_beside_it_and_not_from_far_away(embedding: Embedding, demos: Demos) -> None:
+def test_a_plan_is_followed_from_beside_it_and_not_from_far_away(
+    embedding: Embedding, demos: Demos, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(follow, "NEAREST", 1)  # the best state of a plan is enough
     controller = controller_of(embedding, demos)
     start = demos.episode(0).states[0] + np.array([0.01, 0.02, 0.0, 0.0])
     simulator = controller.plant.simulator(1)
@@ -40,6 +44,12 @@ def test_a_plan_is_followed_from_beside_it_and_not_from_far_away(embedding: Embe
     controller.reset(0)
     controller(OUTSIDE)
     assert not controller.followed and not controller.regulated
+
+
+def test_following_needs_no_embedding(demos: Demos) -> None:
+    controller = Controller("cartpole-swingup", None, replace(CONFIG, cost="reward"), plans=demos)
+    controller(demos.episode(0).states[0])
+    assert controller.followed
 
 
 def test_a_plan_is_left_when_the_robot_is_pushed_away(embedding: Embedding, demos: Demos) -> None:
@@ -90,7 +100,7 @@ def test_ten_plans_swing_the_acrobot_up_from_starts_where_the_look_ahead_alone_f
 def test_what_does_not_fit_is_refused(
     embedding: Embedding, demos: Demos, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(UsageError, match="follow_s needs plans to follow, and an embedding"):
+    with pytest.raises(UsageError, match="follow_s needs plans to follow: give `plans`"):
         Controller("cartpole-swingup", embedding, CONFIG)
     with pytest.raises(UsageError, match="have no shoulder"):
         Controller("acrobot-swingup", load_embedding("acrobot-swingup"), CONFIG, plans=demos)

@@ -54,7 +54,8 @@ def test_statistics_of_parts_equal_those_of_all_observations(rng: np.random.Gene
 
 
 def test_a_number_that_does_not_vary_in_plans_is_only_shifted(rng: np.random.Generator) -> None:
-    obs = np.hstack([rng.normal(3.0, 2.0, (300, 1)), np.full((300, 1), 0.7, np.float32)])
+    tiny, rounded = rng.normal(1.0, 1e-5, (300, 1)), np.float32(300.1) + rng.normal(0, 3e-5, (300, 1))
+    obs = np.hstack([rng.normal(3.0, 2.0, (300, 1)), np.full((300, 1), 0.7), tiny, rounded])
     found = ObsStatistics.of(obs)
-    np.testing.assert_allclose(found.std, [obs[:, 0].std(), 1.0], rtol=1e-6)
-    np.testing.assert_allclose(found(np.array([[3.0, 1.2]]))[0, 1], 0.5, atol=1e-6)
+    np.testing.assert_allclose(found.std, [obs[:, 0].std(), 1.0, 1.0, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(found(np.array([[3.0, 1.2, 1.5, 300.6]]))[0, 1:], 0.5, atol=1e-4)

@@ -180,7 +180,7 @@ def test_a_run_records_its_environment_and_its_policies_play(tmp_path: Path) -> 
     with pytest.raises(PlanspaceError, match=r"environment\.kwargs\.push was None, now 2\.0"):
         train_policies(task, CONFIG, out=run)
     policy = ps.load_policy(run)
-    with pytest.raises(UsageError, match="draws its own starts"):
+    with pytest.raises(PlanspaceError, match="cannot start an episode at a given state"):
         play(policy, 1, 0, starts=np.zeros((1, 2)))
     returns, demos = play(policy, 3, 7)
     assert repr(PUCK) == "GymTask('tiny/Puck-v0')" and repr(task) == "GymTask('tiny/Puck-v0', {'push': 2.0})"

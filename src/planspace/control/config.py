@@ -57,8 +57,8 @@ class ControlConfig:
     """Whether a linear regulator takes over where a simulation shows that it reaches and holds the goal."""
     follow_s: float = field(default=0.0, metadata=unset_if(0.0))
     """Above 0, the controller follows one of the plans it is given, where a simulation shows that a linear
-    regulator along it reaches and holds the goal within this time [s]. The nearest states of plans in z are
-    tried ten times a second."""
+    regulator along it reaches and holds the goal within this time [s]. Ten times a second, it tries the
+    states of plans to which the regulator returns at the least cost."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -64,7 +64,7 @@ class Controller:
                 "a control of the model has no limits, so that none can be sampled: give it a ctrlrange, or "
                 "control_bounds in the problem file."
             )
-        self._follower = _make_follower(self.plant, embedding, self.config, plans, threads)
+        self._follower = _make_follower(self.plant, self.config, plans, threads)
         self._middle, self._half = 0.5 * (low + high), 0.5 * (high - low)
         self._make_splines()
         if note := support_note(self.plant, self.config, embedding):
@@ -203,17 +203,17 @@ class Controller:
 
 
 def _make_follower(
-    plant: Plant, embedding: Embedding | None, config: ControlConfig, plans: Demos | None, threads: int
+    plant: Plant, config: ControlConfig, plans: Demos | None, threads: int
 ) -> PlanFollower | None:
     """What follows plans; None if nothing does.
 
     Raises:
-        UsageError: there are no plans or no embedding, the goal is not held, or the plans do not fit.
+        UsageError: there are no plans, the goal is not held, or the plans do not fit.
     """
     if not config.follow_s:
         return None
-    if plans is None or embedding is None:
-        raise UsageError("follow_s needs plans to follow, and an embedding to find the nearest of them.")
+    if plans is None:
+        raise UsageError("follow_s needs plans to follow: give `plans`.")
     if not plant.problem.hold:
         raise UsageError(
             f"follow_s needs a goal that is held, but that of {plant.problem.name} is not (`hold: false`): "
@@ -224,7 +224,7 @@ def _make_follower(
             f"`follow_s` must be 0 or at least one control step of {plant.control_step:g} s, "
             f"got {config.follow_s:g}."
         )
-    return PlanFollower(plant, embedding, plans, config.follow_s, threads)
+    return PlanFollower(plant, plans, config.follow_s, threads)
 
 
 def colored(

@@ -6,12 +6,11 @@ from jaxtyping import Float, Int
 from planspace.control.plant import Plant
 from planspace.control.takeover import Takeover
 from planspace.demos.dataset import Demos
-from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
 from planspace.plan.tracking import TrackedPlans
 
 NEAREST = 256
-"""States of plans that are tried at once, the nearest in z."""
+"""States of plans that are tried at once."""
 CHECK_S = 0.1
 """Time between two trials [s]."""
 DRIFT, SLACK = 2.0, 1.0
@@ -21,16 +20,16 @@ DRIFT, SLACK = 2.0, 1.0
 class PlanFollower:
     """Plans, each with a linear regulator along it, and the simulation that decides which is followed.
 
-    The states of plans that are nearest in z are tried: from the present state, the regulators along their
-    plans are simulated, and the first that reaches the goal and stays there is followed.
+    It tries the states of plans to which the regulators return at the least cost, as the linear model
+    estimates it. From the present state, it simulates these regulators, and follows the first that reaches
+    the goal and stays there.
     """
 
-    def __init__(self, plant: Plant, embedding: Embedding, plans: Demos, within_s: float, threads: int = 1):
-        """Linearise along the plans and encode their states.
+    def __init__(self, plant: Plant, plans: Demos, within_s: float, threads: int = 1):
+        """Linearise along the plans.
 
         Args:
             plant: what is controlled.
-            embedding: computes z.
             plans: plans of the same robot, with controls.
             within_s: how far from the end of its plan a state may be [s].
             threads: physics threads; 0 uses all CPUs.
@@ -43,9 +42,7 @@ class PlanFollower:
         self._tracks = TrackedPlans.of(
             plans_of(plant, plans), self._simulator, plant.physics_steps, self._within
         )
-        self._columns = list(embedding.columns_of(plant.space.names))
-        self._embedding = embedding
-        self._z = embedding.encode(self._tracks.states[:, self._columns])
+        self._rows = np.arange(len(self._tracks.remaining))
         self._every = max(1, round(CHECK_S / plant.control_step))
 
     def start(self, takeover: Takeover) -> None:
@@ -74,10 +71,10 @@ class PlanFollower:
         return self._tracks.control(row, self._tracks.off(row, state[None]))[0]
 
     def _nearest(self, state: Float[np.ndarray, " state"]) -> Int[np.ndarray, " row"]:
-        """The steps of plans that begin nearest in z."""
-        away = norm(self._z - self._embedding.encode(state[self._columns]))
-        num = min(NEAREST, len(away))
-        return np.argpartition(away, num - 1)[:num]
+        """The steps of plans to which the regulator returns at the least cost."""
+        costs = self._tracks.cost_to_go(self._rows, self._tracks.off(self._rows, state[None]))
+        num = min(NEAREST, len(costs))
+        return np.argpartition(costs, num - 1)[:num]
 
     def _first_to_arrive(self, state: Float[np.ndarray, " state"], rows: Int[np.ndarray, " row"]) -> int:
         """The row from which the regulator along its plan holds the goal first; -1 if none does."""

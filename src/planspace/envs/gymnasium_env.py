@@ -59,7 +59,7 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def joint_space(self) -> "StateSpace | None":
-        """The space of its MuJoCo joints, whose numbers come first in what can be set; None without them."""
+        """State space of the MuJoCo joints, whose numbers come first in what is set; None without them."""
         return self._reader.space if isinstance(self._reader, JointReader) else None
 
     def reset(
@@ -68,12 +68,14 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Start an episode.
 
         Raises:
-            PlanspaceError: the environment fails.
+            PlanspaceError: the environment fails, or is not in the state that `options["state"]` asks for.
         """
         try:
             obs, info = self.inner.reset(seed=seed, options=options)
         except Exception as error:  # whatever the environment raises
             raise self._failure("reset", error) from error
+        if options and "state" in options:
+            self._check_state(options["state"])
         return self._read(obs), {**info, "state": self.state.copy()}
 
     def set_state(self, values: Float[np.ndarray, " settable"]) -> np.ndarray:
@@ -93,13 +95,7 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             obs = self._reader.write(values)
         except Exception as error:  # whatever the environment raises
             raise self._failure("set_state", error) from error
-        found = self._reader()
-        if not np.allclose(found, values, rtol=0, atol=STATE_TOLERANCE):
-            worst = int(np.argmax(np.abs(found - values)))
-            raise PlanspaceError(
-                f"{self.task.name} cannot start an episode at a given state: {self._reader.names[worst]} was "
-                f"set to {values[worst]:g} and is {found[worst]:g}."
-            )
+        self._check_state(values)
         return self._read(obs)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -136,6 +132,26 @@ class GymTaskEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def close(self) -> None:
         """Close the environment."""
         self.inner.close()
+
+    def _check_state(self, values: Float[np.ndarray, " settable"]) -> None:
+        """Check that the environment is in a state.
+
+        Raises:
+            PlanspaceError: it is not, or its state is not known.
+        """
+        if self._reader is None:
+            raise PlanspaceError(f"{self.task.name} cannot start an episode at a given state: it has none.")
+        found = self._reader()
+        if found.shape != np.shape(values):
+            raise PlanspaceError(
+                f"the state of {self.task.name} has {len(found)} numbers, got {np.size(values)} to start at."
+            )
+        if not np.allclose(found, values, rtol=0, atol=STATE_TOLERANCE):
+            worst = int(np.argmax(np.abs(found - values)))
+            raise PlanspaceError(
+                f"{self.task.name} cannot start an episode at a given state: {self._reader.names[worst]} was "
+                f"set to {values[worst]:g} and is {found[worst]:g}."
+            )
 
     def _read(self, obs: Any) -> np.ndarray:
         """Update the state, and return the flat observation."""

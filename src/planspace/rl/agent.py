@@ -116,7 +116,8 @@ def matched(hidden: tuple[int, ...], num_obs: int, num_more: int, num_outputs: i
 def clone(settings: OnPolicy, arm: Arm, state: AgentState, *, key: Key[Array, ""]) -> AgentState:
     """The state after gradient steps that bring the mean action to the controls of plans.
 
-    From then on, observations are standardised as those of the plans. The deviation of actions stays.
+    From then on, observations are standardised as those of the plans. The standard deviation of actions does
+    not change.
     """
     assert arm.plan_transitions is not None
     statistics = state.statistics

@@ -65,9 +65,11 @@ class TrainConfig:
     plan_noise: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Standard deviation of noise that moves states off the plans, as a fraction of that of all states of the
     plans. With it, `replay`, `clone` and `clone_weight` also get steps from such states, with the control of
-    a linear regulator that leads back to the plan."""
+    a linear regulator that leads back to the plan, or in a Gymnasium environment with position servos, with
+    the control of the plan."""
     clone: int = field(default=0, metadata=UNSET_IF_ZERO)
-    """Gradient steps before training that bring the policy's mean action to the controls of plans."""
+    """Gradient steps before training that bring the policy's mean action to the controls of plans. With them,
+    standardised observations are standardised by the plans throughout training."""
     clone_weight: float = field(default=0.0, metadata=UNSET_IF_ZERO)
     """Weight of a penalty in the policy's loss: the squared difference of its mean action from the controls
     of plans."""

@@ -1,7 +1,7 @@
 """Standardises observations by the mean and standard deviation that each seed has seen so far.
 
-With cloning, those of the plans are used throughout: a policy that imitates plans is a function of the
-standardised observation, and while the mean and deviation moved, so would what the policy does.
+With `clone` above 0, those of the plans are used throughout. If mean and standard deviation changed, the
+cloned policy would change with them.
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ BOUND = 10.0
 """Standardised observations are clipped to this."""
 LEAST_VARIANCE = 1e-8
 """Added to the variance, so that it is never divided by 0."""
-CONSTANT = 1e-12
-"""A number whose variance over plans is at most this does not vary."""
+CONSTANT = 1e-4
+"""A number does not vary in plans if its standard deviation is at most this, or this fraction of its mean."""
 
 
 class ObsStatistics(NamedTuple):
@@ -35,9 +35,10 @@ class ObsStatistics(NamedTuple):
 
     @classmethod
     def of(cls, obs: Float[np.ndarray, "sample obs"]) -> "ObsStatistics":
-        """Statistics of these observations. A number that does not vary counts as varying by 1."""
+        """Statistics of these observations. A number that does not vary gets the standard deviation 1."""
         found = cls.empty(obs.shape[-1]).with_more(obs)
-        constant = found.squares <= CONSTANT * found.num
+        least = CONSTANT * np.maximum(1.0, np.abs(found.mean))
+        constant = found.squares <= found.num * least**2
         return found._replace(squares=np.where(constant, found.num, found.squares))
 
     @classmethod

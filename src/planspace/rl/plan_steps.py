@@ -10,7 +10,7 @@ from planspace.errors import UsageError
 from planspace.plan.tracking import average_controls, deviations, next_rows, regulators_along
 from planspace.rl.observe import Observer
 from planspace.rl.progress import Progress
-from planspace.rl.settable import Settable, SettableTask
+from planspace.rl.settable import Settable, SettableGym, SettableTask
 from planspace.rl.transitions import Transitions
 
 COPIES = 10
@@ -85,11 +85,10 @@ def beside_plans(
 ) -> tuple[Float[np.ndarray, "copy settable"], Float[np.ndarray, "copy control"]]:
     """States beside the plans, and controls that lead from there back to the plan.
 
-    The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. It
-    moves joints; other numbers that are set, such as where an object stands, keep their values. The controls
-    are those of a linear regulator along the plan (`regulators_along`), clipped to their limits. A Gymnasium
-    environment keeps those of the plan: its actuators are position servos, which lead back by themselves;
-    `Plans` checks this.
+    The noise is Gaussian, and smaller in some copies than in others: each draws a factor between 0 and 1. In
+    a task of planspace, the controls are those of a linear regulator along the plan (`regulators_along`),
+    clipped to their limits. In a Gymnasium environment, the noise moves only the joints with a position
+    servo, and the controls are the plan's, by which a servo returns to the plan.
 
     Args:
         settable: takes the steps of the task.
@@ -107,6 +106,8 @@ def beside_plans(
     spread = deviations(space, joints)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
+    if isinstance(settable, SettableGym):
+        moves *= settable.driven
     corrected = np.broadcast_to(controls, (COPIES, *controls.shape))
     if isinstance(settable, SettableTask):
         gains, _ = regulators_along(

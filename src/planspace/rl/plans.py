@@ -193,11 +193,11 @@ class Plans:
                 f"{option} needs plans with the {num_controls} controls of {self.task.name}, but these have "
                 f"{found}: use --resets."
             )
-        if self.config.plan_noise and isinstance(self.settable, SettableGym) and not self.settable.has_servos:
+        own = self.settable
+        if self.config.plan_noise and isinstance(own, SettableGym) and not own.driven.any():
             raise UsageError(
-                f"--plan-noise needs controls that lead back to a plan. They are computed for tasks of "
-                f"planspace, and those of a plan do where all actuators are position servos, but "
-                f"{self.task.name} has others: leave it out."
+                "--plan-noise works for tasks of planspace, and for MuJoCo environments whose actuators are "
+                f"all position servos, unlike {self.task.name}: leave it out."
             )
         if self.config.replay and self.config.shaping != "none":
             raise UsageError("--replay has no shaping rewards: leave out --shaping, or use --resets.")

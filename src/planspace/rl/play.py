@@ -99,21 +99,17 @@ def play(
         num: number of episodes.
         seed: seed of the first episode's start; the others follow it.
         task: its task, if planspace does not ship it and the run does not hold it.
-        starts: the state in which each episode starts, for tasks of planspace; by default the seeds draw
-            them.
+        starts: the state in which each episode starts; by default the seeds draw them.
         encoder: reads z and the state from pictures, and the policy sees these; None shows it the true ones.
 
     Returns:
         The return of each episode, and the episodes.
 
     Raises:
-        PlanspaceError: an action is not finite.
-        UsageError: as `make_env`, or policy and encoder do not fit together, or starts are given for a
-            Gymnasium environment, which would ignore them.
+        PlanspaceError: an action is not finite, or a Gymnasium environment does not start where it is told.
+        UsageError: as `make_env`, or policy and encoder do not fit together.
     """
     task = _task_of(policy, task)
-    if starts is not None and isinstance(task, GymTask):
-        raise UsageError(f"{task.name} draws its own starts: leave out `starts`.")
     seen = None if encoder is None else PixelObservations(policy, task, encoder)
     env = make_env(policy, task)
     described, step = _described_states(task, env)

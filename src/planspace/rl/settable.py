@@ -3,6 +3,7 @@
 from functools import cached_property
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -194,14 +195,19 @@ class SettableGym:
         """The space of the MuJoCo joints; None if the environment has a state of its own."""
         return self._env.joint_space
 
-    @property
-    def has_servos(self) -> bool:
-        """Whether the robot has MuJoCo joints, and all its actuators are position servos."""
-        found = mujoco_of(self._env.inner)
-        if self.space is None or found is None:
-            return False
-        feedback = found[0].actuator_biasprm[:, 1]  # force for each metre or radian
-        return bool((feedback < 0).all())
+    @cached_property
+    def driven(self) -> Bool[np.ndarray, " tangent"]:
+        """Which numbers of a tangent are of joints with a position servo; none if any actuator is another."""
+        found, space = mujoco_of(self._env.inner), self.space
+        if space is None or found is None:
+            return np.zeros(0, bool)
+        model = found[0]
+        of_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        feedback = model.actuator_biasprm[:, 1]  # force for each metre or radian
+        servos = of_joints & (feedback < 0) & (model.actuator_dyntype != mujoco.mjtDyn.mjDYN_INTEGRATOR)
+        dofs = model.jnt_dofadr[model.actuator_trnid[servos, 0]]
+        driven = np.isin(space.qvel_index, dofs) & servos.all()
+        return np.concatenate([driven, driven, np.zeros(space.num_activations, bool)])
 
     def normalise(self, values: Float[np.ndarray, "row settable"]) -> Float[np.ndarray, "row settable"]:
         """The same states."""

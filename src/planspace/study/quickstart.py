@@ -1,6 +1,7 @@
 """`planspace run`: plan, embed, control in plan space, and train policies on request, in one command."""
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
 from planspace.tasks.stored_task import save_task, stored_task, task_content
 from planspace.tasks.task import Task
+from planspace.tasks.task_hash import with_todays_hash
 
 
 def run(
@@ -49,7 +51,8 @@ def run(
     if budget_name not in BUDGETS:
         raise unknown("budget", budget_name, BUDGETS)
     with lock_folder(out):
-        open_run(out, _config(task, budget_name, BUDGETS[budget_name], seed))
+        config = _config(task, budget_name, BUDGETS[budget_name], seed)
+        open_run(out, config, update=partial(with_todays_hash, task=task))
         save_task(task, out)
         return _run_stages(task, budget_name, out, seed, train or (out / TRAIN).exists())
 

@@ -44,14 +44,19 @@ def function_settings(value: Any, depth: int = 0, *, describe_path: Callable[[Pa
 
 
 def file_settings(path: Path) -> Any:
-    """Describe a file by its content, so that it may move; another path by its name."""
+    """Describe a file by its name and content, so that it may move, and any other path by its text."""
     if not path.is_file():
         return str(path)
     return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
 def _callable_settings(value: Any, down: Callable[[Any], Any]) -> Any:
-    """Describe a function, a method with its object, or an object of a class; `down` what they hold."""
+    """Describe a function, a method with its object, or an object of a class.
+
+    Args:
+        value: what is described.
+        down: describes the values that it holds.
+    """
     if isinstance(value, MethodType) and hasattr(value.__self__, "hash_content"):  # it has its own version
         return {"method": value.__name__, "of": value.__self__.hash_content()}
     value = (
