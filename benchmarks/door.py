@@ -94,7 +94,8 @@ def main() -> None:
         for arm in options.arms:
             if "replay" in ARMS[arm] and options.algo != "sac":
                 continue
-            key = {"algorithm": options.algo, "arm": arm, "lead": str(options.lead)}
+            lead = options.lead if {"clone", "replay"} & ARMS[arm].keys() else 0  # others use no controls
+            key = {"algorithm": options.algo, "arm": arm, "lead": str(lead)}
             key |= {"steps": str(options.steps), "seed": str(seed)}
             train = partial(run, options.folder, demos, key)
             add_missing(RESULTS, COLUMNS, rows, key, train)

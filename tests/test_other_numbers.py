@@ -117,6 +117,7 @@ def test_table_of_ways_to_use_plans() -> None:
         ("cloning", "appendix/training.md"),
         ("control_follow", "appendix/control.md"),
         ("dagger", "training.md"),
+        ("door", "appendix/training.md"),
     ],
 )
 def test_the_table_of_a_benchmark_is_on_its_page(name: str, page: str) -> None:
