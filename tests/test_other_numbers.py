@@ -163,3 +163,12 @@ def test_control_with_ready_made_embeddings() -> None:
     for row in found:
         assert shown[row["task"]][row["cost"]] == f"{float(row['success']):.0%}", row
         assert load_embedding(row["task"]).hash.startswith(row["embedding"])
+
+
+def test_the_door_that_the_readme_tells_of() -> None:
+    with open(RESULTS / "rl" / "door.csv") as file:
+        found = [row for row in csv.DictReader(file) if (row["arm"], row["steps"]) == ("cloning", "1000000")]
+    success = sorted(round(100 * float(row["success"])) for row in found)
+    words = f"three of three seeds do in {success[0]} to {success[-1]} % of the episodes"
+    assert len(found) == 3 and words in (RESULTS.parent / "README.md").read_text()
+    assert words.replace(" do ", " open it ") in (RESULTS.parent / "docs" / "training.md").read_text()
