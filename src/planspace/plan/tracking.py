@@ -91,9 +91,9 @@ class TrackedPlans:
         return np.clip(self.controls[rows] - np.einsum("kij,kj->ki", self.gains[rows], off), *self.limits)
 
     def off(
-        self, rows: Int[np.ndarray, " batch"], states: Float[np.ndarray, "batch state"]
+        self, rows: Int[np.ndarray, " batch"], states: Float[np.ndarray, "#batch state"]
     ) -> Float[np.ndarray, "batch tangent"]:
-        """How far states are off their plans."""
+        """How far states, or one state, are off their plans."""
         return self.space.difference(states, self.states[rows])
 
     def cost_to_go(
