@@ -106,14 +106,14 @@ def beside_plans(
     spread = deviations(space, joints)
     sizes = noise * rng.uniform(size=(COPIES, len(states), 1))
     moves = sizes * spread * rng.standard_normal((COPIES, len(states), len(spread)))
-    if isinstance(settable, SettableGym):
-        moves *= settable.driven
     corrected = np.broadcast_to(controls, (COPIES, *controls.shape))
     if isinstance(settable, SettableTask):
         gains, _ = regulators_along(
             settable.simulator, joints, controls, following, settable.physics_steps, spread
         )
         corrected = controls - np.einsum("kij,ckj->cki", gains, moves)
+    elif isinstance(settable, SettableGym):
+        moves *= settable.driven
     beside = np.tile(states, (COPIES, 1))
     beside[:, : space.size] = space.integrate(joints, moves).reshape(-1, space.size)
     return settable.normalise(beside), np.clip(corrected, *settable.limits).reshape(-1, controls.shape[1])

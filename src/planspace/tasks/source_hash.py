@@ -5,7 +5,6 @@ closure, and by the functions of its module that it calls. Code that it imports 
 """
 
 import functools
-import hashlib
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
@@ -14,6 +13,8 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import numpy as np
+
+from planspace.storage.files import file_hash
 
 NESTING = 20
 """Values nested more deeply than this are described by their type."""
@@ -47,7 +48,7 @@ def file_settings(path: Path) -> Any:
     """Describe a file by its name and content, so that it may move, and any other path by its text."""
     if not path.is_file():
         return str(path)
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, "sha256": file_hash(path)}
 
 
 def _callable_settings(value: Any, down: Callable[[Any], Any]) -> Any:
