@@ -125,7 +125,7 @@ def draw_system() -> None:
         box(axes, 17 + offset, 5 + offset, text, STEP, 3.2, 1.5)
     box(axes, 17, 2.2, "best embedding", LATENT, 3.2, 1.2)
     box(axes, 12.2, 2.2, "environment\n+ z", STEP, 3.0, 1.5)
-    box(axes, 12.2, 0.4, "agent: TRPO, PPO, yours", STATE, 4.8, 0.7)
+    box(axes, 12.2, 0.4, "agent: TRPO, PPO, SAC, yours", STATE, 4.8, 0.7)
     arrow(axes, (3.8, 5), (5.8, 5))
     arrow(axes, (2.2, 4.25), (5.8, 2.2), bend=0.3)
     arrow(axes, (7.4, 4.25), (7.4, 2.95), heads="<|-|>")
@@ -155,7 +155,7 @@ STAGES = {
     "embed": ("networks, fit", "Objective"),
     "control": ("looking\nahead", "Method"),
     "envs": ("Gymnasium,\nwrappers", ""),
-    "rl": ("TRPO, PPO", "Algorithm"),
+    "rl": ("TRPO, PPO, SAC", "Algorithm"),
 }
 """The stages, in import order: what each holds, and what users can add to it."""
 TOP = {"figures": "for all stages", "study": "arms, statistics, reports", "cli": "one file per verb"}

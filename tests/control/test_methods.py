@@ -1,9 +1,13 @@
 """Methods move the mean to where costs are low."""
 
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from planspace.control.method import Method
+from planspace.control.config import ControlConfig
+from planspace.control.method import Method, improved
 from planspace.control.methods import METHODS
 from planspace.control.methods.cem import CEM
 from planspace.control.methods.mppi import MPPI
@@ -68,3 +72,50 @@ def test_cem_narrows_down_to_its_least_deviation(rng: np.random.Generator) -> No
 def test_settings_out_of_range_are_refused(method: type, value: dict[str, float], says: str) -> None:
     with pytest.raises(UsageError, match=f"`{says}` must be"):
         method(**value)
+
+
+@dataclass(frozen=True)
+class Returns:
+    """A method that returns what it is told to."""
+
+    found: Any
+    iterations: Any = 1
+
+    def improve(self, std: np.ndarray, candidates: np.ndarray, costs: np.ndarray) -> Any:
+        return self.found
+
+
+GOOD = np.zeros((2, 1))
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        (GOOD, r"must return a mean and a standard deviation, got array"),
+        ((GOOD, GOOD, GOOD), "must return a mean and a standard deviation"),
+        ((np.zeros(2), GOOD), r"a mean of shape \(2, 1\), got shape \(2,\)"),
+        ((GOOD, np.zeros((2, 3))), r"a std of shape \(2, 1\), got shape \(2, 3\)"),
+        (("much", GOOD), r"a mean of shape \(2, 1\), got 'much'"),
+        ((np.full((2, 1), np.nan), GOOD), "a finite mean, got nan"),
+        ((GOOD, np.full((2, 1), -0.5)), "at least 0, got -0.5"),
+    ],
+)
+def test_what_a_method_returns_is_checked(found: Any, message: str, rng: np.random.Generator) -> None:
+    std = np.ones((2, 1))
+    with pytest.raises(UsageError, match=f"Method .*Returns: improve.*{message}.*own-method.md"):
+        improved(Returns(found), std, candidates(rng, GOOD, std), np.zeros(200))
+    assert (
+        improved(Returns(([[0.0], [1.0]], std)), std, candidates(rng, GOOD, std), np.zeros(200))[0][1] == 1.0
+    )
+
+
+@pytest.mark.parametrize("iterations", [0, 1.5, "2"])
+def test_the_rounds_of_a_method_are_a_number(iterations: Any) -> None:
+    with pytest.raises(UsageError, match="iterations.*whole number of at least 1"):
+        ControlConfig(method=Returns((GOOD, GOOD), iterations))
+
+
+@pytest.mark.parametrize("name", ["horizon_s", "noise", "terminal_weight", "follow_s"])
+def test_settings_are_finite(name: str) -> None:
+    with pytest.raises(UsageError, match=f"{name}.*finite.*inf"):
+        replace(ControlConfig(), **{name: float("inf")})

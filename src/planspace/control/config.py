@@ -57,8 +57,9 @@ class ControlConfig:
     """Whether a linear regulator takes over where a simulation shows that it reaches and holds the goal."""
     follow_s: float = field(default=0.0, metadata=unset_if(0.0))
     """Above 0, the controller follows one of the plans it is given, where a simulation shows that a linear
-    regulator along it reaches and holds the goal within this time [s]. Ten times a second, it tries the
-    states of plans to which the regulator returns at the least cost."""
+    regulator along it reaches and holds the goal. Ten times a second, it tries the states of plans to which
+    the regulator returns at the least cost, among those at most this long before the end of their plan
+    [s]."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -68,10 +69,14 @@ class ControlConfig:
                 fit the protocol `Method`.
         """
         check_fits(self.method, Method, PAGE)
-        check_setting("horizon_s", self.horizon_s, self.horizon_s > 0, "above 0")
+        rounds = getattr(self.method, "iterations", 1)
+        check_setting(
+            "iterations", rounds, type(rounds) is int and rounds >= 1, "a whole number of at least 1"
+        )
+        check_setting("horizon_s", self.horizon_s, 0 < self.horizon_s < math.inf, "above 0 and finite")
         for name in ("samples", "knots", "cost_points", "action_repeat"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
-        check_setting("noise", self.noise, self.noise > 0, "above 0")
+        check_setting("noise", self.noise, 0 < self.noise < math.inf, "above 0 and finite")
         check_setting("ilqr_rounds", self.ilqr_rounds, self.ilqr_rounds >= 0, "at least 0")
         if self.ilqr_rounds and self.cost == "reward":
             raise UsageError("ilqr_rounds needs a cost that is a distance: z, time or raw.")
@@ -82,4 +87,6 @@ class ControlConfig:
             )
         check_setting("follow_s", self.follow_s, 0 <= self.follow_s < math.inf, "at least 0 and finite")
         for name in ("noise_color", "terminal_weight", "effort_weight", "invalid_cost"):
-            check_setting(name, getattr(self, name), getattr(self, name) >= 0, "at least 0")
+            check_setting(
+                name, getattr(self, name), 0 <= getattr(self, name) < math.inf, "at least 0 and finite"
+            )

@@ -11,6 +11,7 @@ from planspace.control.config import ControlConfig
 from planspace.control.costs import Cost, DistanceCost, make_cost, support_note
 from planspace.control.follow import PlanFollower
 from planspace.control.ilqr import NUM_POLICIES, policies
+from planspace.control.method import improved
 from planspace.control.plant import Plant
 from planspace.control.splines import spline_matrix
 from planspace.control.takeover import Takeover
@@ -113,7 +114,7 @@ class Controller:
             candidates = self._candidates(mean, std)
             controls = self._controls(candidates)
             costs = self._simulate(state, lambda step, _, u=controls: u[:, step], len(candidates))[2]
-            mean, std = self.config.method.improve(std, candidates, costs)
+            mean, std = improved(self.config.method, std, candidates, costs)
         controls = self._controls(mean[None])[0]
         for _ in range(self.config.ilqr_rounds):
             controls = self._refined(state, controls)
