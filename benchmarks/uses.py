@@ -214,16 +214,15 @@ def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
         last = scores.returns[-1]
         numbers = f"{float(iqm(last)):.1f} ({last.min():.1f}, {last.max():.1f})"
         lines += [f"| {arm} | {len(scores.seeds)} | {numbers} | {scores.returns.mean():.1f} |"]
+    lines += ["", "| claim | verdict | difference of the last evaluation (95 %) |", "|---|---|---|"]
     margin = MARGIN * float(np.diff(range_of_returns(options))[0])
     for text, arm, other in CLAIMS:
         if {arm, other} <= set(found):
             last, base = (last_evaluation(found[name]) for name in (arm, other))
             verdict = judge(Claim(text, "ours", "final", arm, other, margin=margin), last, base)
-            if verdict.seeds < MIN_SEEDS:
-                lines += [f"{text}: {verdict.verdict}, because {verdict.seeds} seeds are too few."]
-            else:
-                low, high = verdict.interval
-                lines += [f"{text}: {verdict.verdict}: {verdict.number:.1f} ({low:.1f}, {high:.1f})."]
+            few, (low, high) = verdict.seeds < MIN_SEEDS, verdict.interval
+            number = "too few seeds" if few else f"{verdict.number:.1f} ({low:.1f}, {high:.1f})"
+            lines += [f"| {text} | {verdict.verdict} | {number} |"]
     return lines
 
 
