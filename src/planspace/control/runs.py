@@ -20,7 +20,7 @@ from jaxtyping import Float
 from planspace.control.config import ControlConfig
 from planspace.control.episodes import ControlledEpisode
 from planspace.control.plant import Plant
-from planspace.control.workers import check_fit, control_all
+from planspace.control.workers import Setup, control_all
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
 from planspace.demos.folder import DemoFolder
@@ -120,11 +120,10 @@ def control_into(  # noqa: PLR0913
             f"{num} episodes need as many starts of {plant.space.size} numbers, got an array of shape "
             f"{starts.shape}."
         )
-    plans = plans if config.follow_s else None
-    check_fit(plant, embedding, config, encoder, plans)
+    setup = Setup(plant, embedding, config, encoder, plans if config.follow_s else None)
+    setup.check()
     with lock_folder(out):
-        settings = _settings(plant, embedding, config, seed, steps)
-        settings |= _hash_of("pixels", encoder) | _hash_of("plans", plans)
+        settings = _settings(setup, seed, steps)
         if starts is not None:
             settings["starts"] = arrays_hash({"starts": starts})
         open_run(out, settings, update=partial(with_todays_hash, task=plant.task))
@@ -132,18 +131,16 @@ def control_into(  # noqa: PLR0913
         whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))
         remaining = range(whole.next_index, num)
         if remaining:
-            run = control_all(
-                plant, embedding, config, seed, remaining, steps, workers, encoder, plans, starts
-            )
+            run = control_all(setup, seed, remaining, steps, workers, starts)
             with closing(run) as episodes:
                 _extend(out, whole, demos, _shown(label, remaining, episodes))
         return summarise(out, config)
 
 
-def _settings(
-    plant: Plant, embedding: Embedding | None, config: ControlConfig, seed: int, steps: int
-) -> dict[str, Any]:
-    """The content of `config.json`."""
+def _settings(setup: Setup, seed: int, steps: int) -> dict[str, Any]:
+    """The content of `config.json`; earlier versions recorded neither pictures nor plans."""
+    plant, embedding = setup.plant, setup.embedding
+    used = {"pixels": setup.encoder, "plans": setup.plans}
     return {
         "task": plant.task.name,
         "task_sha256": plant.task.hash,
@@ -151,14 +148,10 @@ def _settings(
         "embedding": None if embedding is None else embedding.hash,
         "seed": seed,
         "episode_steps": steps,
-        **plain_settings(config),
+        **plain_settings(setup.config),
         "versions": Provenance.current("mujoco").plain(),
+        **{name: given.hash for name, given in used.items() if given is not None},
     }
-
-
-def _hash_of(name: str, used: ImageEncoder | Demos | None) -> dict[str, str]:
-    """What a run records of an encoder or of plans if it uses them; earlier versions recorded neither."""
-    return {} if used is None else {name: used.hash}
 
 
 def summarise(out: Path, config: ControlConfig) -> ControlSummary:

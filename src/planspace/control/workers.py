@@ -3,7 +3,7 @@
 import pickle
 import warnings
 from collections.abc import Generator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,58 +21,73 @@ from planspace.errors import PlanspaceError
 from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_cores, pack
 
 
-def check_fit(
-    plant: Plant,
-    embedding: Embedding | None,
-    config: ControlConfig,
-    encoder: ImageEncoder | None,
-    plans: Demos | None,
-) -> None:
-    """Check that plant, embedding, settings, encoder and plans fit together, before anything is written.
+@dataclass(frozen=True)
+class Setup:
+    """What controls an episode, and with what it is controlled."""
 
-    Raises:
-        UsageError: they do not.
-    """
-    if encoder is not None:
-        check_sight(encoder, plant.space, plant.control_step)
-    _make_controller(plant, embedding, config, plans)
+    plant: Plant
+    embedding: Embedding | None
+    """Computes z."""
+    config: ControlConfig
+    """How the controller looks ahead."""
+    encoder: ImageEncoder | None = None
+    """Estimates the state from pictures; None shows the controller the true state."""
+    plans: Demos | None = None
+    """What the setting `follow_s` follows."""
+
+    def check(self) -> None:
+        """Check that all fit together, before anything is written.
+
+        Raises:
+            UsageError: they do not.
+        """
+        if self.encoder is not None:
+            check_sight(self.encoder, self.plant.space, self.plant.control_step)
+        self.controller()
+
+    def controller(self) -> Controller:
+        """Make the controller."""
+        with warnings.catch_warnings(action="ignore"):  # of a far goal, which the command has said
+            return Controller(self.plant, self.embedding, self.config, plans=self.plans, threads=1)
+
+    def sight(self) -> Sight | None:
+        """Make what the controller sees; None if it sees the true state."""
+        plant = self.plant
+        if self.encoder is None:
+            return None
+        return Sight(self.encoder, plant.model, plant.space, plant.control_step)
+
+    def packed(self) -> bytes:
+        """What a worker process unpacks."""
+        plans = None if self.plans is None else replace(self.plans, trees=())  # large, and not followed
+        return pack(replace(self, plans=plans))
 
 
-def control_all(  # noqa: PLR0913
-    plant: Plant,
-    embedding: Embedding | None,
-    config: ControlConfig,
+def control_all(
+    setup: Setup,
     seed: int,
     indices: range,
     num_steps: int,
     workers: int | None,
-    encoder: ImageEncoder | None = None,
-    plans: Demos | None = None,
     starts: Float[np.ndarray, "episode state"] | None = None,
 ) -> Generator[ControlledEpisode, None, None]:
     """Run episodes and yield them in order.
 
     Args:
-        plant: what is controlled.
-        embedding: computes z.
-        config: how the controller looks ahead.
+        setup: what controls them.
         seed: seed of starts, goals and samples.
         indices: numbers of the episodes.
         num_steps: control steps of an episode.
         workers: number of processes; 0 for this one, None for one for each CPU.
-        encoder: estimates the state from pictures; None shows the controller the true state.
-        plans: what `follow_s` follows.
         starts: the start of each episode; by default the task draws them.
     """
     start = (lambda i: None) if starts is None else starts.__getitem__
     if workers == 0:
-        controller = _make_controller(plant, embedding, config, plans)
-        sight = _make_sight(plant, encoder)
+        controller, sight = setup.controller(), setup.sight()
         for i in indices:
             yield run_episode(controller, seed, i, num_steps, sight, start(i))
         return
-    plans = None if plans is None else replace(plans, trees=())  # they are large, and not followed
-    packed = pack((plant, embedding, config, encoder, plans))
+    packed = setup.packed()
     with WorkerPool(min(workers or count_cores(), len(indices)), WORKER_ENVIRONMENT) as pool:
         futures = [pool.submit(_run_packed, packed, seed, i, num_steps, start(i)) for i in indices]
         try:
@@ -93,16 +108,5 @@ def _run_packed(
 
 @lru_cache(maxsize=1)
 def _unpacked(packed: bytes) -> tuple[Controller, Sight | None]:
-    plant, embedding, config, encoder, plans = pickle.loads(packed)
-    return _make_controller(plant, embedding, config, plans), _make_sight(plant, encoder)
-
-
-def _make_sight(plant: Plant, encoder: ImageEncoder | None) -> Sight | None:
-    return None if encoder is None else Sight(encoder, plant.model, plant.space, plant.control_step)
-
-
-def _make_controller(
-    plant: Plant, embedding: Embedding | None, config: ControlConfig, plans: Demos | None
-) -> Controller:
-    with warnings.catch_warnings(action="ignore"):  # of a far goal, which the command has said
-        return Controller(plant, embedding, config, plans=plans, threads=1)
+    setup: Setup = pickle.loads(packed)
+    return setup.controller(), setup.sight()
