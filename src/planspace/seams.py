@@ -13,9 +13,11 @@ import sys
 from collections.abc import Mapping
 from dataclasses import Field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
-from planspace.errors import UsageError, did_you_mean, quoted, unknown
+import numpy as np
+
+from planspace.errors import UsageError, check_setting, did_you_mean, quoted, unknown
 
 Seam = TypeVar("Seam")
 
@@ -99,6 +101,25 @@ def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
             f"See {page}."
         )
     return given
+
+
+def check_numbers(given: Any) -> None:
+    """Check that the fields of a dataclass that are annotated as numbers or truth values hold such.
+
+    Raises:
+        UsageError: one does not.
+    """
+    kinds = {
+        int: ((int, np.integer), "a whole number"),
+        float: ((int, float, np.integer, np.floating), "a number"),
+        bool: ((bool, np.bool_), "true or false"),
+    }
+    for name, hint in get_type_hints(type(given)).items():  # without `Annotated`
+        value = getattr(given, name)
+        if hint in kinds:
+            types, wanted = kinds[hint]
+            is_bool = isinstance(value, bool | np.bool_)
+            check_setting(name, value, isinstance(value, types) and is_bool == (hint is bool), wanted)
 
 
 def article(noun: str, *, capital: bool = False) -> str:

@@ -14,6 +14,7 @@ from planspace.cli import main
         (["controle"], 2, "unknown study 'controle'. Did you mean 'controls'? Known:"),
         (["paper", "--budget", "ful"], 2, "unknown budget 'ful'. Did you mean 'full'? Known:"),
         (["paper", "--seeds", "7"], 2, "`--seeds` must be a positive multiple of 5, got 7."),
+        (["paper", "--seeds", "0"], 2, "`--seeds` must be a positive multiple of 5, got 0."),
         (
             ["paper", "--only", "nothing"],
             2,

@@ -160,3 +160,61 @@ def test_wrong_usage_is_one_line_and_writes_nothing(
     code, _, err = call(capsys, "control", *arguments)
     assert code != 0 and says in err
     assert not list(tmp_path.iterdir())
+
+
+def test_rows_that_a_repaired_log_lacks_are_made_again(tmp_path: Path) -> None:
+    whole = control(tmp_path / "run", 3, seconds=0.1)
+    log = tmp_path / "run" / "log.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    for left in (lines[:2], lines[:1] + lines[2:], []):
+        log.write_text("".join(left))
+        again = control(tmp_path / "run", 3, seconds=0.1)
+        assert replace(again, real_time=0.0) == replace(whole, real_time=0.0)
+        rows = [json.loads(line)["episode"] for line in log.read_text().splitlines()]
+        assert sorted(rows) == [0, 1, 2]
+        assert len(load_demos(tmp_path / "run" / "episodes")) == 3
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, 0.001, float("nan"), float("inf")])
+def test_an_episode_lasts_a_control_step_or_more(seconds: float, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="episode_s.*at least a control step"):
+        control(tmp_path / "run", 1, seconds=seconds)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_file_of_settings_decides_seed_and_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [
+        "control",
+        "pendulum-swingup",
+        "--cost",
+        "reward",
+        "--samples",
+        "8",
+        "--episodes",
+        "1",
+        "--no-film",
+    ]
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert call(capsys, *given, "--seed", "7", "--episode-s", "0.2", "--out", first)[0] == 0
+    assert call(capsys, *given, "--config", first / "config.json", "--out", second)[0] == 0
+    configs = [json.loads((out / "config.json").read_text()) for out in (first, second)]
+    assert configs[0] == configs[1] and configs[0]["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("seed: -1", "seed must be a whole number of at least 0, got -1"),
+        ("plans: mine", "plans is no setting of this file: give --plans DIR"),
+        ("embedding: [a, b]", "embedding is no setting of this file"),
+    ],
+)
+def test_what_a_file_of_settings_cannot_hold_is_refused(
+    line: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.yaml").write_text(line + "\n")
+    given = ["control", "pendulum-swingup", "--cost", "reward", "--config", tmp_path / "a.yaml"]
+    code, _, err = call(capsys, *given, "--out", tmp_path / "run")
+    assert code == 2 and message in err and not (tmp_path / "run").exists()

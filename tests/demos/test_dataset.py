@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,9 @@ def test_save_and_load(demos: Demos, tmp_path: Path) -> None:
     assert (tmp_path / "demos" / "manifest.json").read_bytes() == before
     with pytest.raises(PlanspaceError, match="made with other settings: content was"):
         demos.select(("hinge",)).save(tmp_path / "demos")
+    for change in ({"success": ~demos.success}, {"costs": demos.costs + 1.0}, {"seeds": demos.seeds + 1}):
+        with pytest.raises(PlanspaceError, match=f"the same demonstrations with other {next(iter(change))}"):
+            replace(demos, **change).save(tmp_path / "demos")
 
 
 def test_summaries_are_short(demos: Demos) -> None:

@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,6 +17,7 @@ from planspace.rl import arm as arm_module
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import BATCH_STEPS, TrainConfig
 from planspace.rl.history import EVALUATION, load_history
+from planspace.rl.play import play
 from planspace.rl.rollout import Rollout
 from planspace.rl.training import train_policies
 
@@ -42,6 +44,35 @@ def test_a_finished_run_is_loaded_and_other_settings_are_refused(tmp_path: Path)
         train_policies(TASK, replace(config, obs="trig", seed=3), out=tmp_path / "run")
     with pytest.raises(PlanspaceError, match=r"algorithm\.max_kl was 0\.01, now 0\.02"):
         train_policies(TASK, config.with_hyperparameters(max_kl=0.02), out=tmp_path / "run")
+
+
+def test_a_finished_run_without_policies_makes_them_again(tmp_path: Path) -> None:
+    config, run = replace(CONFIG, steps=1, num_seeds=1), tmp_path / "run"
+    before = train_policies(TASK, config, out=run).policy()(np.ones((3, 4), np.float32))
+    for name in ("policies.json", "policies.safetensors"):
+        (run / name).unlink()
+    train_policies(TASK, config, out=run)
+    np.testing.assert_array_equal(load_policy(run)(np.ones((3, 4), np.float32)), before)
+
+
+def test_an_embedding_can_be_given_by_its_folder(embedding_folder: Path, tmp_path: Path) -> None:
+    config, run = replace(CONFIG, steps=1, num_seeds=1, z="augment"), tmp_path / "run"
+    train_policies(TASK, config, embedding=embedding_folder, out=run)
+    config = replace(config, num_seeds=2)
+    with pytest.raises(PlanspaceError, match="num_seeds was 1, now 2"):
+        train_policies(TASK, config, embedding=[str(embedding_folder)], out=run)
+    with pytest.raises(UsageError, match="expected the path of an embedding"):
+        train_policies(TASK, config, embedding=[3], out=run)  # pyright: ignore
+
+
+def test_an_embedding_that_was_replaced_is_noticed(embedding: Embedding, tmp_path: Path) -> None:
+    config, run = replace(CONFIG, steps=1, num_seeds=1, z="augment"), tmp_path / "run"
+    train_policies(TASK, config, embedding=embedding, out=run)
+    play(load_policy(run), 1, 0)
+    shutil.rmtree(run / "embedding")
+    replace(embedding, about=None, sigma_floor=2.0 * embedding.sigma_floor).save(run / "embedding")
+    with pytest.raises(PlanspaceError, match="it was replaced"):
+        play(load_policy(run), 1, 0)
 
 
 @pytest.mark.slow
@@ -77,6 +108,9 @@ def test_wrong_combinations_of_task_and_embedding_are_refused(embedding: Embeddi
     [
         ({"num_seeds": 0}, "`num_seeds` must be at least 1, got 0"),
         ({"seed": -1}, "`seed` must be at least 0, got -1"),
+        ({"seed": 2**32 - 2}, "`seed` must be such that no seed reaches 4294967296, got 4294967294"),
+        ({"steps": "5"}, "`steps` must be a whole number, got '5'"),
+        ({"clone": 10.5}, "`clone` must be a whole number, got 10.5"),
         ({"eval_every": -1}, "`eval_every` must be at least 0, got -1"),
         ({"obs": "trigg"}, "unknown obs 'trigg'. Did you mean 'trig'?"),
         ({"algorithm": 3}, "An Algorithm needs the methods act, collect, init, update; 3 has no act"),

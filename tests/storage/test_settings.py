@@ -48,6 +48,6 @@ def test_differences_are_listed_with_their_path() -> None:
     old, new = {"fit": {"steps": 10, "z_dim": 3}, "seed": 0}, {"fit": {"steps": 10, "z_dim": 4}, "note": "x"}
     assert list(list_differences(old, new)) == [
         "fit.z_dim was 3, now 4",
-        "note was None, now 'x'",
-        "seed was 0, now None",
+        "note was not set, now 'x'",
+        "seed was 0, now not set",
     ]

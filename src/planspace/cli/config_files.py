@@ -5,6 +5,7 @@ command line still win. The options that decide which settings exist, such as `-
 """
 
 import contextlib
+import re
 import types
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -130,6 +131,38 @@ def named_in_file(settings: Mapping[str, Any], seam: str, where: str) -> str | N
             "command line as module.py:NAME."
         )
     return name
+
+
+def refuse_inputs(settings: Mapping[str, Any], where: str, **options: str) -> None:
+    """Refuse folders in a file of settings. A run's own config.json names what it read by hashes.
+
+    Args:
+        settings: the content of the file.
+        where: the file, for messages.
+        options: for each key, the option that takes the folder.
+
+    Raises:
+        UsageError: a key holds something else than hashes.
+    """
+    for key, option in options.items():
+        given = settings.get(key) or ()
+        each = given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
+        if any(not isinstance(one, str) or not re.fullmatch("[0-9a-f]{64}", one) for one in each):
+            raise UsageError(f"{where}: {key} is no setting of this file: give {option} on the command line.")
+
+
+def whole_in_file(settings: Mapping[str, Any], name: str, where: str) -> int | None:
+    """A whole number of at least 0 in a file of settings; None without it.
+
+    Raises:
+        UsageError: it is something else.
+    """
+    if name not in settings:
+        return None
+    value = settings[name]
+    if type(value) is not int or value < 0:
+        raise UsageError(f"{where}: {name} must be a whole number of at least 0, got {quoted(value)}.")
+    return value
 
 
 def read_config(path: str | Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, Suppress, arg
 
 from planspace.cli.config_files import (
     ConfigFile,
@@ -15,6 +15,8 @@ from planspace.cli.config_files import (
     given_option,
     load_or_name,
     named_in_file,
+    refuse_inputs,
+    whole_in_file,
     with_settings,
 )
 from planspace.cli.tables import counted, print_json, print_values
@@ -87,6 +89,8 @@ class Control:
     """Print JSON."""
     config_file: ConfigFile = None
     config: ControlConfig = field(default_factory=ControlConfig)
+    episode_steps: Annotated[int | None, Suppress] = None
+    """Control steps of an episode, as the file of `--config` says."""
 
     @classmethod
     def default(cls, arguments: Sequence[str]) -> "Control":
@@ -99,7 +103,10 @@ class Control:
         config = ControlConfig(METHODS[named] if isinstance(named, str) else named)
         if path:
             config = with_settings(config, file, path, ignored=RECORDED)
-        return cls(method=method, config=config)
+            refuse_inputs(file, path, embedding="--embedding DIR", pixels="--pixels DIR", plans="--plans DIR")
+        seed = whole_in_file(file, "seed", path)
+        steps = whole_in_file(file, "episode_steps", path)
+        return cls(method=method, config=config, seed=seed or 0, episode_steps=steps)
 
     def __call__(self) -> None:
         """Control the episodes, film them, and print what they amount to."""
@@ -122,6 +129,9 @@ class Control:
         if embedding is None and encoder is not None:
             embedding = encoder.teacher
         plans = None if self.plans is None else load_demos(self.plans)
+        episode_s = self.episode_s
+        if episode_s is None and self.episode_steps is not None:
+            episode_s = self.episode_steps * plant.repeating(self.config.action_repeat).control_step
         if plans is not None:
             self._check_plans(plans.info, plant)
         if self.config.follow_s and plans is None:
@@ -135,7 +145,7 @@ class Control:
             self.out,
             num=self.episodes,
             seed=self.seed,
-            episode_s=self.episode_s,
+            episode_s=episode_s,
             workers=self.workers or None,
             encoder=encoder,
             plans=plans,

@@ -7,10 +7,16 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SAME_PRESS_S = 0.5
 """A signal this soon after the first counts as the same: `timeout` and some shells send it twice."""
+
+AGAIN_S = 0.05
+"""After this time, a signal is sent again that arrived in one of `CALLBACKS`."""
+CALLBACKS = ("_xla_gc_callback", "__del__")
+"""Functions that garbage collection calls: JAX's, and those of objects."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -41,10 +47,14 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
     wakeup.setblocking(False)
     arrived: list[int] = []
 
-    def stop(number: int, frame: object) -> None:
-        if not arrived:
-            arrived.append(number)
-            raise Interrupted(number)
+    def stop(number: int, frame: FrameType | None) -> None:
+        if arrived:
+            return
+        if _ignores_exceptions(frame):
+            threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
+            return
+        arrived.append(number)
+        raise Interrupted(number)
 
     threading.Thread(target=_end_at_second, args=(arrivals, set(before)), daemon=True).start()
     wakeup_before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
@@ -60,6 +70,15 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
                 signal.signal(number, handler)
             signal.set_wakeup_fd(wakeup_before)
             wakeup.close()
+
+
+def _ignores_exceptions(frame: FrameType | None) -> bool:
+    """Whether the code that a signal interrupts runs where Python prints exceptions and goes on."""
+    while frame is not None:
+        if frame.f_code.co_name in CALLBACKS:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _end_at_second(arrivals: socket.socket, numbers: set[int]) -> None:

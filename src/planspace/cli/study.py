@@ -42,8 +42,8 @@ class Study:
     """Worker processes, at most one per core; 0 uses every core. The result does not depend on this
     number."""
     seeds: Annotated[
-        int, arg(metavar="N", help_behavior_hint="(default: 15; some arms of demos 25, of recipe 75)")
-    ] = 0
+        int | None, arg(metavar="N", help_behavior_hint="(default: 15; some arms of demos 25, of recipe 75)")
+    ] = None
     """Policies per arm, a multiple of 5. A larger number adds seeds; finished seeds are not run again."""
     only: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="TEXT")]] = ()
     """Run only arms whose name (figure/arm) contains this text, such as 'swingup, TRPO'. The
@@ -66,14 +66,16 @@ class Study:
 
     def __call__(self) -> None:
         """Run the units that are missing, write the report and print the tables."""
-        from planspace.study.grid import STUDIES, make_study
+        from planspace.study.grid import BLOCK, STUDIES, make_study
 
         if not self.name:
             raise UsageError(f"which study? Choose one of {', '.join(STUDIES)}.")
         if self.workers < 0:
             raise UsageError(f"`--workers` must be 0 or more, got {self.workers}.")
         self._check_mode()
-        study = make_study(self.name, self.budget, seeds=self.seeds, task=load_or_name(self.task))
+        if self.seeds == 0:
+            raise UsageError(f"`--seeds` must be a positive multiple of {BLOCK}, got 0.")
+        study = make_study(self.name, self.budget, seeds=self.seeds or 0, task=load_or_name(self.task))
         study = replace(study, task=self.task)
         selected = study.only(self.only)
         if self.slurm is not None:

@@ -15,6 +15,7 @@ from planspace.cli.config_files import (
     given_option,
     load_or_name,
     named_in_file,
+    refuse_inputs,
     with_settings,
 )
 from planspace.errors import PartialResult, UsageError
@@ -85,6 +86,7 @@ class Train:
             _, config = read_settings(file)
         elif path:
             config = with_settings(config, file, path, ignored=RECORDED)
+            refuse_inputs(file, path, embeddings="--embedding DIR", plans="--plans DIR")
         return cls(algo=algo, preset=preset, config=config)
 
     def __call__(self) -> None:
@@ -124,10 +126,9 @@ class Train:
 
         rounded = self.config.iterations * num_episodes(task, self.config.batch_steps) * task.horizon
         if rounded != self.config.steps:
-            print(
-                f"--steps {self.config.steps} is rounded up to {rounded}, for whole iterations",
-                file=sys.stderr,
-            )
+            steps = self.config.steps
+            way = "up" if rounded > steps else "down"
+            print(f"--steps {steps} is rounded {way} to {rounded}, for whole iterations", file=sys.stderr)
 
     def _draw_curve(self, trained: "TrainedPolicies", out: Path) -> None:
         from planspace.figures.learning_curves import plot_curves

@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from planspace.control.method import PAGE, Method
 from planspace.control.methods import MPPI
 from planspace.control.splines import SplineOrder
-from planspace.errors import UsageError, check_setting
-from planspace.seams import check_fits, unset_if
+from planspace.errors import UsageError, check_setting, unknown
+from planspace.seams import check_fits, check_numbers, unset_if
 
 CostName = Literal["z", "time", "reward", "raw"]
 """What a controller minimises: the distance to the goal in z, the time to it, minus the task's reward, or the
@@ -69,6 +69,12 @@ class ControlConfig:
                 fit the protocol `Method`.
         """
         check_fits(self.method, Method, PAGE)
+        check_numbers(self)
+        for name, known in (("cost", CostName), ("spline", SplineOrder)):
+            if getattr(self, name) not in get_args(known):
+                raise unknown(name, getattr(self, name), get_args(known))
+        spread = self.noise_spread
+        check_setting("noise_spread", spread, 1 <= spread < math.inf, "at least 1 and finite")
         rounds = getattr(self.method, "iterations", 1)
         check_setting(
             "iterations", rounds, type(rounds) is int and rounds >= 1, "a whole number of at least 1"

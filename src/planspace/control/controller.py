@@ -1,8 +1,10 @@
 """The controller: looks ahead from the present state by simulation, and acts by the best it finds."""
 
+import contextlib
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +19,7 @@ from planspace.control.splines import spline_matrix
 from planspace.control.takeover import Takeover
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
-from planspace.errors import UsageError
+from planspace.errors import UsageError, quoted
 from planspace.tasks.problem import Problem
 from planspace.tasks.task import Task
 
@@ -54,7 +56,14 @@ class Controller:
         Raises:
             UsageError: problem, embedding and settings do not fit together.
         """
-        self.config = config or ControlConfig()
+        self.config = ControlConfig() if config is None else config
+        for name, given, kind in (
+            ("embedding", embedding, Embedding),
+            ("config", self.config, ControlConfig),
+            ("plans", plans, Demos),
+        ):
+            if given is not None and not isinstance(given, kind):
+                raise UsageError(f"`{name}` must be of type {kind.__name__}, got {quoted(given)}.")
         self.plant = Plant.find(problem).repeating(self.config.action_repeat)
         self.embedding = embedding
         num = max(self.config.samples, NUM_POLICIES) if self.config.ilqr_rounds else self.config.samples
@@ -80,8 +89,15 @@ class Controller:
         Args:
             seed: seed of the samples.
             target: the goal of the episode, for a problem whose goals are drawn.
+
+        Raises:
+            UsageError: the target has another shape, or a number that is not finite.
         """
+        size = self.plant.task.target_size
+        self._target_missing = target is None and size > 0
         target = np.empty(0) if target is None else np.asarray(target, dtype=float)
+        if not self._target_missing and (target.shape != (size,) or not np.isfinite(target).all()):
+            raise UsageError(f"the target must be {size} finite numbers, got {quoted(target)}.")
         self._rng = np.random.default_rng(seed)
         self._mean = np.zeros((self.config.knots, len(self._half)))
         self._cost: Cost = make_cost(self.plant, self.config, target, self.embedding)
@@ -96,8 +112,13 @@ class Controller:
         """Whether the last control follows a plan."""
 
     def __call__(self, state: Float[np.ndarray, " state"]) -> Float[np.ndarray, " control"]:
-        """Return the control to apply in this state for one control step."""
-        state = np.asarray(state, dtype=float)
+        """Return the control to apply in this state for one control step.
+
+        Raises:
+            UsageError: the state has another shape, or a number that is not finite; or the goals of the task
+                are drawn, and `reset` was not given one.
+        """
+        state = self._checked(state)
         given = None if self._takeover is None else self._takeover.control(state)
         self.regulated = given is not None
         if self._follower is not None:
@@ -122,6 +143,21 @@ class Controller:
             mean = self._knots @ ((controls - self._middle) / self._half)
         self._mean = self._shift @ mean
         return controls[0]
+
+    def _checked(self, state: Any) -> Float[np.ndarray, " state"]:
+        """The state as an array."""
+        names = self.plant.space.names
+        if self._target_missing:
+            raise UsageError(
+                f"the goals of {self.plant.task.name} are drawn: give the episode's with reset(target=...)."
+            )
+        with contextlib.suppress(TypeError, ValueError):
+            array = np.asarray(state, dtype=float)
+            if array.shape == (len(names),) and np.isfinite(array).all():
+                return array
+        raise UsageError(
+            f"the state must be {len(names)} finite numbers ({', '.join(names)}), got {quoted(state)}."
+        )
 
     def _make_splines(self) -> None:
         """Compute what turns knots into controls, and shifts knots by a control step."""

@@ -6,8 +6,9 @@ DIR/demos/         those that ended at the goal, until they arrived: demonstrati
 DIR/log.jsonl      one row an episode: return, success, wall times
 """
 
+import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -28,7 +29,7 @@ from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
 from planspace.embed.embedding import Embedding
 from planspace.embed.pixels.encoder import ImageEncoder
-from planspace.errors import UsageError
+from planspace.errors import UsageError, check_setting
 from planspace.progress import progress
 from planspace.seams import plain_settings
 from planspace.storage.arrays import arrays_hash
@@ -107,7 +108,10 @@ def control_into(  # noqa: PLR0913
         PlanspaceError: the folder cannot be written or was made with other settings.
     """
     plant = plant.repeating(config.action_repeat)
-    steps = plant.task.horizon if episode_s is None else max(1, round(episode_s / plant.control_step))
+    if episode_s is not None:
+        wanted = f"finite and at least a control step of {plant.control_step:g} s"
+        check_setting("episode_s", episode_s, plant.control_step <= episode_s < math.inf, wanted)
+    steps = plant.task.horizon if episode_s is None else round(episode_s / plant.control_step)
     info = StateInfo.of_model(
         plant.model,
         plant.space,
@@ -129,12 +133,21 @@ def control_into(  # noqa: PLR0913
         open_run(out, settings, update=partial(with_todays_hash, task=plant.task))
         source = DatasetSettings(problem=plant.problem.hash, seed=seed)
         whole, demos = (DemoFolder(out / name, info, source) for name in (EPISODES, DEMOS))
-        remaining = range(whole.next_index, num)
+        logged = _logged(out)
+        remaining = [i for i in range(num) if i >= whole.next_index or i not in logged]
         if remaining:
             run = control_all(setup, seed, remaining, steps, workers, starts)
             with closing(run) as episodes:
-                _extend(out, whole, demos, _shown(label, remaining, episodes))
+                _extend(out, whole, demos, _shown(label, remaining, num, episodes))
         return summarise(out, config)
+
+
+def _logged(out: Path) -> set[int]:
+    """Numbers of the episodes that the log of a run folder has; a repaired log can lack some."""
+    if not (out / LOG).exists():
+        return set()
+    with reject_malformed(out / LOG):
+        return {int(row["episode"]) for row in read_rows(out / LOG)}
 
 
 def _settings(setup: Setup, seed: int, steps: int) -> dict[str, Any]:
@@ -200,19 +213,20 @@ def _extend(
         if demos.next_index <= i:  # otherwise a kill came between the two datasets
             arrived = _arrived(episode, i)
             demos.append([] if arrived is None else [arrived], i + 1)
-        whole.append([_as_demonstration(episode, i, len(episode.controls))], i + 1)
+        if whole.next_index <= i:  # otherwise only the row was missing
+            whole.append([_as_demonstration(episode, i, len(episode.controls))], i + 1)
 
 
 def _shown(
-    label: str, remaining: range, episodes: Iterator[ControlledEpisode]
+    label: str, remaining: Sequence[int], num: int, episodes: Iterator[ControlledEpisode]
 ) -> Iterator[tuple[int, ControlledEpisode]]:
-    """Number the episodes, and show the progress."""
+    """Number the episodes, and show the progress towards `num`."""
     held = 0
-    with progress(label, remaining.stop, done=remaining.start, unit="episode") as bar:
-        for i, episode in zip(remaining, episodes, strict=True):
+    with progress(label, num, done=num - len(remaining), unit="episode") as bar:
+        for done, (i, episode) in enumerate(zip(remaining, episodes, strict=True), 1):
             yield i, episode
             held += episode.success
-            bar.set_postfix_str(f"{held} of {i + 1 - remaining.start} stay at the goal", refresh=False)
+            bar.set_postfix_str(f"{held} of {done} stay at the goal", refresh=False)
             bar.update()
 
 

@@ -2,7 +2,7 @@
 
 import pickle
 import warnings
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -66,7 +66,7 @@ class Setup:
 def control_all(
     setup: Setup,
     seed: int,
-    indices: range,
+    indices: Sequence[int],
     num_steps: int,
     workers: int | None,
     starts: Float[np.ndarray, "episode state"] | None = None,

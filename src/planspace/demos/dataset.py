@@ -114,7 +114,26 @@ class Demos:
             settings["split"] = {name: list(places) for name, places in self.splits.items()}
         with lock_folder(Path(folder)):
             target = DemoFolder(Path(folder), self.info, settings)
+            if target.num_episodes:
+                self._check_same_episodes(Path(folder))
             target.extend(self.episode(i) for i in range(target.num_episodes, len(self)))
+
+    def _check_same_episodes(self, folder: Path) -> None:
+        """Check what a dataset says of its demonstrations beside what the hash covers.
+
+        Raises:
+            PlanspaceError: it says something else.
+        """
+        from planspace.demos.load import load_demos
+
+        saved = load_demos(folder)
+        for name in ("success", "costs", "seeds", "indices"):
+            if not np.array_equal(
+                getattr(saved, name), getattr(self, name)[: len(saved)], equal_nan=name == "costs"
+            ):
+                raise PlanspaceError(
+                    f"{folder} contains the same demonstrations with other {name}: choose another folder."
+                )
 
     def episode(self, i: int) -> Episode:
         """Demonstration i."""

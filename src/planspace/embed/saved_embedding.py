@@ -23,7 +23,7 @@ from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.files import make_folder
-from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.json_files import read_description, read_json, write_sealed
 from planspace.storage.ready_made import EMBEDDING as READY_EMBEDDING
 from planspace.storage.ready_made import find_folder
 
@@ -84,7 +84,7 @@ def load_embedding(path: str | Path) -> Embedding:
         raise UsageError(f"expected the path of an embedding's folder, got {path!r:.60}.")
     path = find_folder(path, READY_EMBEDDING)
     if not (path / DESCRIPTION).exists():
-        if (path / CONFIG).exists():
+        if (path / CONFIG).exists() and "demos" in read_json(path / CONFIG):
             raise PlanspaceError(
                 f"{path} is not finished: its training is running or was interrupted; repeat the command."
             )

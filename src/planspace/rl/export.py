@@ -62,6 +62,9 @@ def export_policies(
         versions=Provenance.current().plain(),
         **content,
     )
+    if config.needs_embedding:
+        each = [embeddings[seed % len(embeddings)].hash for seed in config.seeds]
+        about["embedding_hashes"] = each
     if config.action_repeat != 1:
         about["action_repeat"] = config.action_repeat
     if config.goal != "raw":

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from planspace.embed.embedding import Embedding
 from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.sight import Sight
-from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import UsageError
 from planspace.plan.state_filter import StateFilter
 from planspace.rl.saved_policy import Policy
@@ -37,7 +36,7 @@ class PixelObservations:
         about = policy.about
         if about.get("goal", "raw") == "z":
             raise UsageError("the policy observes z of its goal, which is not read from pictures.")
-        if about["z"] != "none" and not _same_z(load_embedding(policy.embedding), encoder.teacher):
+        if about["z"] != "none" and not _same_z(policy.load_embedding(), encoder.teacher):
             raise UsageError(
                 "the policy was trained with another embedding than the teacher of the encoder: train the "
                 f"encoder with --teacher {policy.embedding}."

@@ -66,7 +66,7 @@ class Plans:
         used = " and ".join(f"--{name.replace('_', '-')}" for name in config.uses_of_plans)
         if given is None:
             if used:
-                raise UsageError(f"{used} needs plans: give --plans DIR.")
+                raise UsageError(f"{used} need{'' if ' and ' in used else 's'} plans: give --plans DIR.")
             return None
         if not used:
             raise UsageError(

@@ -16,7 +16,6 @@ from planspace.demos.episode import Episode
 from planspace.demos.render import FilmConfig, render_demos, write_film
 from planspace.demos.state_info import StateInfo
 from planspace.embed.pixels.encoder import ImageEncoder
-from planspace.embed.saved_embedding import load_embedding
 from planspace.envs import make as envs
 from planspace.errors import UsageError
 from planspace.physics.rendering import rendering_backend
@@ -51,9 +50,11 @@ def make_env(
     reward = about.get("reward", "dense")
     if about.get("goal", "raw") == "z":
         own = envs.make_env(task, obs=about["obs"], reward=reward, render_mode=render_mode)
-        embedding = load_embedding(policy.embedding)
+        embedding = policy.load_embedding()
         observer = Observer(task, about["obs"], about["z"], about["z_to"], (embedding,), goal="z")
         return GoalObservation(own, observer)
+    if about["z"] != "none":
+        policy.load_embedding()  # checks it
     return envs.make_env(
         task,
         obs=about["obs"],

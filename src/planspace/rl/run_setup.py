@@ -1,9 +1,12 @@
 """What a training run is made of: its settings with their algorithm, and the embedding of each seed."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import UsageError
 from planspace.rl.algorithm import Algorithm
 from planspace.rl.algorithms import find_algorithm
@@ -22,6 +25,21 @@ def with_algorithm(config: TrainConfig, algorithm: Algorithm | str | None) -> Tr
     new = find_algorithm(algorithm) if isinstance(algorithm, str) else algorithm
     is_default = config.batch_steps == default_batch_steps(config.algorithm)
     return replace(config, algorithm=new, batch_steps=0 if is_default else config.batch_steps)
+
+
+def as_embeddings(
+    given: Embedding | str | Path | Sequence[Embedding | str | Path] | None,
+) -> tuple[Embedding, ...]:
+    """The embeddings that were given, as they are or by folder or name.
+
+    Raises:
+        PlanspaceError: an embedding cannot be loaded.
+        UsageError: something is neither an embedding nor the path of one.
+    """
+    if given is None:
+        return ()
+    each = (given,) if isinstance(given, Embedding | str | Path) else tuple(given)
+    return tuple(one if isinstance(one, Embedding) else load_embedding(one) for one in each)
 
 
 def embedding_of_seeds(embeddings: tuple[Embedding, ...], config: TrainConfig) -> tuple[Embedding, ...]:

@@ -13,6 +13,8 @@ from typing import Any, Literal, NotRequired, TypedDict, cast, get_args
 import numpy as np
 from jaxtyping import Float
 
+from planspace.embed.embedding import Embedding
+from planspace.embed.saved_embedding import load_embedding
 from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.rl.config import GoalMode, ZMode, ZTarget
 from planspace.rl.normalise import ObsStatistics
@@ -75,6 +77,8 @@ class PoliciesInfo(TypedDict):
     seeds: list[int]
     embeddings: list[str]
     """The folder of each seed's embedding; empty without z."""
+    embedding_hashes: NotRequired[list[str]]
+    """`Embedding.hash` of each seed's embedding; earlier versions did not record it."""
     returns: list[float | None]
     """Return of each seed in the last evaluation; None if it is not finite."""
     versions: dict[str, str]
@@ -109,6 +113,20 @@ class Policy:
     def embedding(self) -> Path:
         """The folder of the embedding that makes its z."""
         return self.run / self.about["embeddings"][self.about["seeds"].index(self.seed)]
+
+    def load_embedding(self) -> Embedding:
+        """Load the embedding that makes its z.
+
+        Raises:
+            PlanspaceError: the embedding cannot be loaded, or is not the one of the training.
+        """
+        embedding = load_embedding(self.embedding)
+        hashes = self.about.get("embedding_hashes")
+        if hashes and hashes[self.about["seeds"].index(self.seed)] != embedding.hash:
+            raise PlanspaceError(
+                f"{self.embedding} is not the embedding that the policy was trained with: it was replaced."
+            )
+        return embedding
 
     def __call__(self, obs: Float[np.ndarray, "*batch obs"]) -> Float[np.ndarray, "*batch action"]:
         """The mean action, clipped to the environment's limits.
@@ -246,11 +264,19 @@ def _check_about(file: Path, about: dict[str, Any]) -> None:
         raise TypeError("its seeds or its num_obs are not whole numbers")
     if not 0 < about["num_obs"] <= MAX_OBS:
         raise ValueError(f"it observes {about['num_obs']} numbers")
+    _check_embeddings(about)
+
+
+def _check_embeddings(about: dict[str, Any]) -> None:
+    """Check that each seed has its embedding within the run."""
     embeddings = about.get("embeddings", ())
     if not all(re.fullmatch(rf"{EMBEDDING}(-\d+)?", name) for name in embeddings):
         raise ValueError("it names an embedding outside its run")
     if about["z"] != "none" and len(embeddings) != len(about["seeds"]):
         raise ValueError("it does not name an embedding for each seed")
+    hashes = about.get("embedding_hashes", embeddings)
+    if len(hashes) != len(embeddings) or not all(isinstance(one, str) for one in hashes):
+        raise ValueError("it does not name a hash for each embedding")
 
 
 def _check_output(about: dict[str, Any]) -> None:

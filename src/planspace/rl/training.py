@@ -39,7 +39,8 @@ from planspace.rl.plans import Plans
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.progress import Progress
 from planspace.rl.rollout import collect, episode_returns, first_returns
-from planspace.rl.run_setup import embedding_of_seeds, run_settings, with_algorithm
+from planspace.rl.run_setup import as_embeddings, embedding_of_seeds, run_settings, with_algorithm
+from planspace.rl.saved_policy import DESCRIPTION
 from planspace.rl.shaping import Shaping
 from planspace.rl.trained import TemporaryFolder, TrainedPolicies
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
@@ -96,7 +97,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     config: TrainConfig | None = None,
     *,
     algorithm: Algorithm | str | None = None,
-    embedding: Embedding | Sequence[Embedding] | None = None,
+    embedding: Embedding | str | Path | Sequence[Embedding | str | Path] | None = None,
     plans: Demos | str | Path | None = None,
     out: str | Path | None = None,
     track: Sequence[TrackerName] = (),
@@ -114,8 +115,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         config: settings; by default 5 seeds of TRPO.
         algorithm: an algorithm of `planspace.rl.algorithms.PRESETS`, its name, or your own `Algorithm`;
             replaces that of `config`.
-        embedding: the embedding that computes z, if `config` uses z. Of a sequence of n embeddings, seed `s`
-            uses the one with index `s` modulo n.
+        embedding: the embedding that computes z, if `config` uses z, or its folder or name. Of a sequence of
+            n embeddings, seed `s` uses the one with index `s` modulo n.
         plans: plans of the task's joints and model, or the folder of a dataset, if `config` has `resets`,
             `replay`, `clone` or `clone_weight`.
         out: the run's folder; without it, policies are stored in a temporary folder.
@@ -134,7 +135,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     check_env_workers(task, env_workers)
     find_name(f"reward type of {task.name}", config.task_reward, task.reward_types)
     find_name(f"observation type of {task.name}", config.obs, task.obs_types)
-    given = (embedding,) if isinstance(embedding, Embedding) else tuple(embedding or ())
+    given = as_embeddings(embedding)
     per_seed = embedding_of_seeds(given, config)
     observed = per_seed if config.z != "none" else ()
     observer = Observer(task, config.obs, config.z, config.z_to, observed, config.num_seeds, config.goal)
@@ -147,7 +148,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
         settings = run_settings(task, config, given, used)
         open_run(run, settings, update=partial(with_todays_hash, task=single_actions(task)))
         save_task(task, run)
-        if (run / HISTORY).exists():
+        if (run / HISTORY).exists() and (run / DESCRIPTION).exists():
             history = load_history(run, (config.iterations, config.num_seeds))
         else:
             episodes = make_episodes(task, num, config.task_reward, env_workers)

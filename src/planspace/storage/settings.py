@@ -40,7 +40,8 @@ def list_differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str
         if isinstance(before, dict) and isinstance(now, dict):
             yield from list_differences(before, now, f"{prefix}{key}.")
         elif before != now:
-            yield f"{prefix}{key} was {before!r}, now {now!r}"
+            was, is_now = (repr(tree[key]) if key in tree else "not set" for tree in (old, new))
+            yield f"{prefix}{key} was {was}, now {is_now}"
 
 
 def _inner(settings: dict[str, Any], path: list[str]) -> dict[str, Any] | None:

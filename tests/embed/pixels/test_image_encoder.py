@@ -18,6 +18,7 @@ from planspace import (
     load_image_encoder,
 )
 from planspace.cli import main
+from planspace.embed.embedding import Embedding
 from planspace.embed.pixels import training
 from planspace.embed.pixels.stacks import draw_stacks, stacks_of_plans
 from planspace.embed.pixels.training import init
@@ -119,8 +120,21 @@ def test_stacks_end_in_their_states(opengl: str, demos: Demos) -> None:
     np.testing.assert_array_equal(drawn.images, again.images)
     last = Pictures(*demos.info.compile(), TINY.pictures).of_states(drawn.states)
     np.testing.assert_array_equal(drawn.images[..., -3:], last)
-    with pytest.raises(UsageError, match="`frame_s` must be a multiple of the model's time step of 0.02 s"):
-        draw_stacks([(demos, demos.states)], TINY, 0.03, 0)
+
+
+def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
+    opengl: str, demos: Demos, embedding: Embedding, tmp_path: Path
+) -> None:
+    out = tmp_path / "encoder"
+    for frame_s in (0.03, 0.001, 1e5):
+        with pytest.raises(
+            UsageError, match="`frame_s` must be a multiple of .* 0.02 s"
+        ):
+            fit_image_encoder(demos, embedding, config=replace(TINY, frame_s=frame_s), out=out)
+    with pytest.raises(UsageError, match="camera"):
+        strange = replace(TINY, pictures=replace(TINY.pictures, camera="nope"))
+        fit_image_encoder(demos, embedding, config=strange, out=out)
+    assert not out.exists()
 
 
 def test_other_colours_are_far_away(encoder: ImageEncoder, demos: Demos) -> None:

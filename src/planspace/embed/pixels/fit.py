@@ -17,7 +17,7 @@ from planspace.embed.pixels.config import ImageFitConfig
 from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.measure import measure_images
 from planspace.embed.pixels.saved import DESCRIPTION, load_image_encoder
-from planspace.embed.pixels.stacks import Stacks, default_frame_s, draw_stacks
+from planspace.embed.pixels.stacks import Stacks, check_pictures, default_frame_s, draw_stacks
 from planspace.embed.pixels.training import train_network
 from planspace.embed.saved_embedding import CARD
 from planspace.errors import UsageError
@@ -113,6 +113,8 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
         "frame_s": request.frame_s,
         "fit": plain_settings(request.config),
     }
+    if not (out / DESCRIPTION).exists():  # otherwise nothing is drawn
+        check_pictures(request.demos, request.config.pictures, request.frame_s)
     with lock_folder(out):
         open_run(out, settings)
         if (out / DESCRIPTION).exists():

@@ -25,7 +25,7 @@ from planspace.physics.pictures import PictureConfig
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import CONFIG, reject_malformed
 from planspace.storage.files import make_folder
-from planspace.storage.json_files import read_description, write_sealed
+from planspace.storage.json_files import read_description, read_json, write_sealed
 
 SCHEMA = 1
 WEIGHTS, DESCRIPTION, TEACHER = "encoder.safetensors", "encoder.json", "teacher"
@@ -70,7 +70,7 @@ def load_image_encoder(path: str | Path) -> ImageEncoder:
     """
     path = Path(path)
     if not (path / DESCRIPTION).exists():
-        if (path / CONFIG).exists():
+        if (path / CONFIG).exists() and "teacher" in read_json(path / CONFIG):
             raise PlanspaceError(
                 f"{path} is not finished: its training is running or was interrupted; repeat the command."
             )

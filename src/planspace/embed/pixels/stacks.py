@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 from planspace.demos.dataset import Demos
 from planspace.demos.resample import resample
 from planspace.embed.pixels.config import ImageFitConfig
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, check_setting
 from planspace.physics.pictures import PictureConfig, Pictures, stacked
 from planspace.physics.simulator import Simulator
 from planspace.progress import progress
@@ -39,6 +39,29 @@ def default_frame_s(demos: Demos) -> float:
     return float(np.median(steps[steps > 0]))
 
 
+def check_pictures(demos: Demos, config: PictureConfig, frame_s: float) -> None:
+    """Check that pictures of a model can be drawn, before anything is written.
+
+    Args:
+        demos: demonstrations of the model.
+        config: the pictures.
+        frame_s: time between two frames [s].
+
+    Raises:
+        UsageError: `frame_s` is not a multiple of the model's time step, or longer than any demonstration; or
+            the camera does not exist.
+        PlanspaceError: nothing can be drawn here.
+    """
+    model, space = demos.info.compile()
+    step, longest = float(model.opt.timestep), max(demos.times[demos.offsets[1:] - 1])
+    wanted = (
+        f"a multiple of the model's time step of {step:g} s, and at most a demonstration of {longest:g} s"
+    )
+    fits = step / 2 < frame_s <= longest and abs(round(frame_s / step) * step - frame_s) <= STEP_TOLERANCE
+    check_setting("frame_s", frame_s, fits, wanted)
+    Pictures(model, space, config).close()
+
+
 def draw_stacks(
     sources: Sequence[tuple[Demos, Float[np.ndarray, "row state"]]],
     config: ImageFitConfig,
@@ -59,7 +82,6 @@ def draw_stacks(
         stream: stacks of another stream are drawn independently with the same seed.
 
     Raises:
-        UsageError: `frame_s` is not a multiple of the model's time step.
         PlanspaceError: nearly all motions leave the model's bounds, or nothing can be drawn here.
     """
     rng, view = np.random.default_rng((seed, stream)), config.pictures
@@ -139,12 +161,7 @@ def _simulate(
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Paths [motion, frame, state] with random controls, and whether each stays within the bounds."""
-    step = float(simulator.model.opt.timestep)
-    num_steps = round(frame_s / step)
-    if num_steps < 1 or abs(num_steps * step - frame_s) > STEP_TOLERANCE:
-        raise UsageError(
-            f"`frame_s` must be a multiple of the model's time step of {step:g} s, got {frame_s:g}."
-        )
+    num_steps = round(frame_s / float(simulator.model.opt.timestep))
     low, high = limits
     simulator.reset(simulator.space.normalise(starts))
     path = [simulator.states()]
