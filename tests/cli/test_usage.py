@@ -70,6 +70,7 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["train", "cartpole", "--seed", "-1", "--out", "x"], "`seed` must be at least 0, got -1"),
         (["train", "cartpole", "--hidden", "0", "--out", "x"], "hidden layers need at least one unit each"),
         (["play", "x", "--video", "x.txt"], "x.txt is not a film; give FILE.gif or FILE.mp4"),
+        (["play", "x", "--video", "/no/x.gif"], "there is no folder /no: make it, or give another --video"),
         (["export", "e"], "Missing from planspace export: FILE"),
         (["export", "e", "e.onnx", "--to", "torch"], "invalid choice 'torch'"),
         (["export", "e", "e.pt"], "e.pt has the suffix '.pt', which is not a known format"),

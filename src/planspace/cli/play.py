@@ -49,6 +49,8 @@ class Play:
         self._check()
         if self.video is not None:
             check_film(self.video)
+            if not self.video.parent.exists():
+                raise UsageError(f"there is no folder {self.video.parent}: make it, or give another --video.")
         policy = load_policy(self._chosen_run(), "best" if self.seed == "best" else int(self.seed))
         task = find_training_task(load_or_name(self.task)) if self.task else None
         encoder = None if self.pixels is None else load_image_encoder(self.pixels)

@@ -135,12 +135,13 @@ class Policy:
             PlanspaceError: the observation has another number of columns than in training, or the action is
                 not finite.
         """
-        if obs.shape[-1] != self.about["num_obs"]:
+        obs = np.asarray(obs)
+        if obs.shape[-1:] != (self.about["num_obs"],):
             task = self.about["env_id"] or self.about["task"]
             raise PlanspaceError(
                 f"the policy was trained on observations of {self.about['num_obs']} numbers "
                 f"({task}, obs={self.about['obs']!r}, z={self.about['z']!r}), "
-                f"got {obs.shape[-1]}."
+                f"got {obs.shape[-1] if obs.ndim else 'one number'}."
             )
         with np.errstate(all="ignore"):  # checked below
             rows = obs.reshape(1, -1, obs.shape[-1]).astype(np.float32)

@@ -100,7 +100,7 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
     embedding: Embedding | str | Path | Sequence[Embedding | str | Path] | None = None,
     plans: Demos | str | Path | None = None,
     out: str | Path | None = None,
-    track: Sequence[TrackerName] = (),
+    track: TrackerName | Sequence[TrackerName] = (),
     env_workers: int = 0,
     verbose: bool = True,
 ) -> TrainedPolicies:
@@ -154,7 +154,8 @@ def train_policies(  # noqa: PLR0913 - the public call, all but two arguments by
             episodes = make_episodes(task, num, config.task_reward, env_workers)
             with contextlib.closing(episodes), progress_shown(verbose):
                 arm = Arm(config, observer, episodes, shaping, progress)
-                history = _train(arm if used is None else _with_plans(arm, used), given, run, track)
+                trackers = (track,) if isinstance(track, str) else track
+                history = _train(arm if used is None else _with_plans(arm, used), given, run, trackers)
     return TrainedPolicies(task.name, config, history, run, temporary)
 
 

@@ -127,9 +127,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
 ) -> None:
     out = tmp_path / "encoder"
     for frame_s in (0.03, 0.001, 1e5):
-        with pytest.raises(
-            UsageError, match="`frame_s` must be a multiple of .* 0.02 s"
-        ):
+        with pytest.raises(UsageError, match="`frame_s` must be a multiple of .* 0.02 s"):
             fit_image_encoder(demos, embedding, config=replace(TINY, frame_s=frame_s), out=out)
     with pytest.raises(UsageError, match="camera"):
         strange = replace(TINY, pictures=replace(TINY.pictures, camera="nope"))
