@@ -28,7 +28,6 @@ from planspace.control.plant import Plant
 from planspace.control.runs import EPISODES, control_into
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
-from planspace.embed.embedding import Embedding
 from planspace.envs.batch import TaskBatch
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
@@ -36,17 +35,12 @@ from planspace.rl.observe import Observer
 from planspace.rl.saved_policy import Policy
 from planspace.rl.training import train_policies
 from planspace.seams import with_settings
-from planspace.tasks.action_repeat import single_actions
 from planspace.tasks.observation_types import ObservationType
 from planspace.tasks.task import Task
 
 RESULTS = Path(__file__).parents[1] / "results" / "rl" / "dagger.csv"
 COLUMNS = ("task", "guided", "corrected", "round", "clone", "steps", "episodes", "held", "return_mean")
-CONTROL = {
-    "acrobot-swingup": ControlConfig(horizon_s=0.16, samples=128, cost="time", follow_s=3.0),
-    "dmc:acrobot-swingup": ControlConfig(horizon_s=0.32, samples=128, follow_s=3.0, action_repeat=2),
-}
-"""Tasks, and the settings of the controller."""
+CONTROL = ControlConfig(horizon_s=0.16, samples=128, cost="time", follow_s=3.0)
 NUM_TESTS, TEST_SEED, GUIDE_SEED, LEARN_SEED = 100, 0, 7, 1000
 CLONE_STEPS, LAST_CLONE_STEPS, PLAN_NOISE = 30_000, 120_000, 0.05
 STEPS = 4000
@@ -56,11 +50,7 @@ STEPS = 4000
 def main() -> None:
     """Run the rounds that the results do not have yet."""
     parser = make_parser(__doc__, "where episodes and policies are kept")
-    parser.add_argument("--task", default="acrobot-swingup", choices=CONTROL)
-    parser.add_argument("--plans", default="", metavar="DIR", help="plans to follow; else ready-made ones")
-    parser.add_argument(
-        "--embedding", default="", metavar="DIR", help="an embedding; else the ready-made one"
-    )
+    parser.add_argument("--task", default="acrobot-swingup", help="a task with ready-made plans")
     parser.add_argument("--guided", type=int, default=60, metavar="N", help="episodes of round 0")
     parser.add_argument("--corrected", type=int, default=120, metavar="N", help="episodes of a later round")
     parser.add_argument("--rounds", type=int, default=7, metavar="N", help="rounds after round 0")
@@ -70,31 +60,27 @@ def main() -> None:
     options, rows = parse(parser, RESULTS, table)
     if 0 < options.further <= STEPS:
         parser.error(f"--further must be more than the {STEPS} steps of every other policy")
-    name = options.task
-    plant, folder = Plant.find(name), options.folder / f"{name.replace(':', '-')}-{options.guided}"
-    control = partial(
-        controlled, plant, ps.load_embedding(options.embedding or name), ps.load_demos(options.plans or name)
-    )
-    task = plant.repeating(CONTROL[name].action_repeat).task
-    runs = [control(folder / "guided", options.guided, GUIDE_SEED)]
+    plant, folder = Plant.find(options.task), options.folder / f"{options.task}-{options.guided}"
+    assert isinstance(plant.task, Task)
+    runs = [control(plant, folder / "guided", options.guided, GUIDE_SEED)]
 
     def trained(number: int, clone: int, suffix: str = "", steps: int = STEPS) -> Policy:
         """The policy of a round, whose row is added."""
         out = folder / f"policy-{number}-{options.corrected}{suffix}"
-        policy = cloned(task, runs, out, clone, steps)
+        policy = cloned(plant.task, runs, out, clone, steps)
         key = {"task": options.task, "guided": str(options.guided), "corrected": str(options.corrected)}
         key |= {"round": str(number), "clone": str(clone), "steps": str(steps)}
-        add_missing(RESULTS, COLUMNS, rows, key, partial(measure, task, policy, runs))
+        add_missing(RESULTS, COLUMNS, rows, key, partial(measure, plant.task, policy, runs))
         return policy
 
     policy = trained(0, CLONE_STEPS)
     for number in range(options.rounds):
         seed = LEARN_SEED + number
-        states, _, _ = act(task, policy, options.corrected, seed)
+        states, _, _ = act(plant.task, policy, options.corrected, seed)
         when = np.random.default_rng(seed).integers(len(states), size=options.corrected)
         starts = states[when, np.arange(options.corrected)]
         out = folder / f"corrected-{number}-{options.corrected}"
-        runs.append(control(out, options.corrected, seed, starts))
+        runs.append(control(plant, out, options.corrected, seed, starts))
         policy = trained(number + 1, CLONE_STEPS)
     trained(options.rounds, LAST_CLONE_STEPS, "-last")
     if options.further:
@@ -111,18 +97,11 @@ def measure(task: Task, policy: Policy, runs: list[Path]) -> dict[str, str]:
     }
 
 
-def controlled(
-    plant: Plant,
-    embedding: Embedding,
-    plans: Demos,
-    out: Path,
-    num: int,
-    seed: int,
-    starts: np.ndarray | None = None,
-) -> Path:
+def control(plant: Plant, out: Path, num: int, seed: int, starts: np.ndarray | None = None) -> Path:
     """Control episodes from the task's starts, or from given ones."""
-    config = CONTROL[plant.task.name]
-    control_into(plant, embedding, config, out, num=num, seed=seed, plans=plans, starts=starts)
+    name = plant.task.name
+    embedding, plans = ps.load_embedding(name), ps.load_demos(name)
+    control_into(plant, embedding, CONTROL, out, num=num, seed=seed, plans=plans, starts=starts)
     return out
 
 
@@ -140,15 +119,9 @@ def cloned(task: Task, runs: list[Path], out: Path, clone: int, steps: int) -> P
         find_algorithm("trpo", "modern"), hidden=(256, 256), critic_hidden=(64, 64), initial_std=0.1
     )
     config = TrainConfig(
-        algorithm,
-        obs=observation(task),
-        num_seeds=1,
-        steps=steps,
-        clone=clone,
-        plan_noise=PLAN_NOISE,
-        action_repeat=task.action_repeat,
+        algorithm, obs=observation(task), num_seeds=1, steps=steps, clone=clone, plan_noise=PLAN_NOISE
     )
-    return train_policies(single_actions(task), config, plans=demos, out=out).policy()
+    return train_policies(task, config, plans=demos, out=out).policy()
 
 
 def act(task: Task, policy: Policy, num: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -165,8 +138,7 @@ def act(task: Task, policy: Policy, num: int, seed: int) -> tuple[np.ndarray, np
         returns += rewards
         states.append(batch.states.copy())
         at_goal.append(task.at_goal(batch.states, batch.targets))
-    duration = task.action_repeat * task.frame_skip * batch.simulator.model.opt.timestep
-    last = round(LAST_S / duration)
+    last = round(LAST_S / (task.frame_skip * batch.simulator.model.opt.timestep))
     return np.stack(states), np.all(at_goal[-last - 1 :], axis=0), returns
 
 

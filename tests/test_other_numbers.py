@@ -154,6 +154,19 @@ def test_control_of_deepmind_controls_acrobot() -> None:
         assert f"earns {float(other):.0f}" in (RESULTS.parent / page).read_text().replace("\n", " "), page
 
 
+def test_control_of_two_poles() -> None:
+    page = (RESULTS.parent / "docs" / "appendix" / "control.md").read_text()
+    rows = [tuple(row) for row in table_rows(page)]
+    with open(RESULTS / "control" / "two_poles.csv") as file:
+        found = list(csv.DictReader(file))
+    for row in found:
+        following = f"{row['follow_s']} s" if int(row["follow_s"]) else "none"
+        settings = row["cost"], f"{row['horizon_s']} s", following, row["seed"], row["starts"]
+        held = f"{float(row['success']):.0%}"
+        assert (*settings, held, row["return_mean"], row["return_worst"]) in rows, row
+    assert len(found) == 8
+
+
 def test_control_with_ready_made_embeddings() -> None:
     text = (RESULTS.parent / "docs" / "howto" / "ready-made.md").read_text()
     shown = {row[0].strip("`"): dict(zip(("z", "time"), row[3:5], strict=True)) for row in table_rows(text)}

@@ -103,11 +103,11 @@ def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
     return given
 
 
-def check_numbers(given: Any) -> None:
-    """Check that the fields of a dataclass that are annotated as numbers or truth values hold such.
+def check_field_types(given: Any) -> None:
+    """Check the types of a dataclass's fields that are annotated as a number or as true or false.
 
     Raises:
-        UsageError: one does not.
+        UsageError: a field holds something else.
     """
     kinds = {
         int: ((int, np.integer), "a whole number"),
@@ -180,6 +180,8 @@ def plain_settings(value: Any) -> Any:
     shipped records the SHA-256 of its source, so that changed code is a changed setting. A field with
     the metadata `unset_if` is left out at that value, as in files of versions without the field.
     """
+    if isinstance(value, np.generic):
+        value = value.item()
     if is_dataclass(value) and not isinstance(value, type):
         given = {f.name: getattr(value, f.name) for f in fields(value) if not _is_unset(f, value)}
         own = {name: plain_settings(item) for name, item in given.items()}

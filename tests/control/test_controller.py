@@ -191,13 +191,11 @@ def _with_goal(problem: Problem, goal: tuple[float, ...]) -> Problem:
     return replace(problem, goal=replace(problem.goal, low=goal, high=goal), hold=False)
 
 
-@pytest.mark.parametrize(
-    "state", [np.full(2, np.nan), np.array([np.inf, 0.0]), np.zeros(3), np.zeros((1, 2)), 0.0, None, "ab"]
-)
-def test_a_state_that_is_none_is_refused(state: object) -> None:
+@pytest.mark.parametrize("state", [np.full(2, np.nan), np.array([np.inf, 0.0]), np.zeros(3)])
+def test_a_state_that_is_none_is_refused(state: np.ndarray) -> None:
     controller = Controller("pendulum", config=BY_REWARD)
     with pytest.raises(UsageError, match=r"the state must be 2 finite numbers \(hinge, hingevel\), got"):
-        controller(state)  # pyright: ignore[reportArgumentType]
+        controller(state)
 
 
 def test_a_drawn_goal_must_be_given() -> None:
@@ -208,12 +206,6 @@ def test_a_drawn_goal_must_be_given() -> None:
     for target in (np.full(4, np.nan), np.zeros(9)):
         with pytest.raises(UsageError, match="the target must be"):
             controller.reset(0, target)
-
-
-@pytest.mark.parametrize("name", ["embedding", "config", "plans"])
-def test_arguments_of_other_types_are_refused(name: str) -> None:
-    with pytest.raises(UsageError, match=f"`{name}` must be of type .*, got 'cartpole'"):
-        Controller("pendulum", **{"config": BY_REWARD, name: "cartpole"})  # pyright: ignore
 
 
 @pytest.mark.parametrize(

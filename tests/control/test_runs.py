@@ -1,6 +1,7 @@
 """Runs of many episodes, in folders and on the command line."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,13 +167,25 @@ def test_rows_that_a_repaired_log_lacks_are_made_again(tmp_path: Path) -> None:
     whole = control(tmp_path / "run", 3, seconds=0.1)
     log = tmp_path / "run" / "log.jsonl"
     lines = log.read_text().splitlines(keepends=True)
-    for left in (lines[:2], lines[:1] + lines[2:], []):
+    for left in (lines[:2], lines[:1] + lines[2:], [], [*lines[:2], lines[2][:9]]):
         log.write_text("".join(left))
         again = control(tmp_path / "run", 3, seconds=0.1)
         assert replace(again, real_time=0.0) == replace(whole, real_time=0.0)
         rows = [json.loads(line)["episode"] for line in log.read_text().splitlines()]
         assert sorted(rows) == [0, 1, 2]
         assert len(load_demos(tmp_path / "run" / "episodes")) == 3
+
+
+def test_rows_are_not_doubled_where_a_repair_lost_more(tmp_path: Path) -> None:
+    whole, run = control(tmp_path / "run", 5, seconds=0.1), tmp_path / "run"
+    log = (run / "log.jsonl").read_text().splitlines(keepends=True)
+    for name in ("episodes", "demos"):
+        shutil.rmtree(run / name)
+    control(run, 2, seconds=0.1)  # two episodes are left, and all rows but one
+    (run / "log.jsonl").write_text("".join(log[:2] + log[3:]))
+    assert replace(control(run, 5, seconds=0.1), real_time=0.0) == replace(whole, real_time=0.0)
+    rows = [json.loads(line)["episode"] for line in (run / "log.jsonl").read_text().splitlines()]
+    assert sorted(rows) == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, 0.001, float("nan"), float("inf")])
@@ -207,8 +220,9 @@ def test_a_file_of_settings_decides_seed_and_length(
     ("line", "message"),
     [
         ("seed: -1", "seed must be a whole number of at least 0, got -1"),
-        ("plans: mine", "plans is no setting of this file: give --plans DIR"),
-        ("embedding: [a, b]", "embedding is no setting of this file"),
+        ("episode_steps: 0", "episode_steps must be a whole number of at least 1, got 0"),
+        ("plans: mine", "`plans` cannot be set in a file: use --plans DIR"),
+        ("embedding: [a, b]", "`embedding` cannot be set in a file"),
     ],
 )
 def test_what_a_file_of_settings_cannot_hold_is_refused(

@@ -16,6 +16,10 @@ embedding = planspace.load_embedding(folder)
 make = lambda **kwargs: gymnasium.make("planspace/CartPoleSwingUp-v0", **kwargs)
 show = lambda **kwargs: PlanSpaceObservation(make(), **{"embedding": folder, **kwargs})
 shape = lambda **kwargs: PlanSpaceShaping(make(), folder, **{"goal": [0.0] * 4, **kwargs})
+policy = planspace.load_policy("cartpole-swingup")
+control = lambda **kwargs: planspace.Controller("pendulum", **kwargs)
+steer = control(config=planspace.ControlConfig(cost="reward", samples=8, horizon_s=0.1, regulator=False))
+train = lambda **kwargs: planspace.train_policies("cartpole", planspace.TrainConfig(z="augment"), **kwargs)
 many = lambda **kwargs: gymnasium.make_vec(
     "planspace/CartPole-v0", num_envs=2, vectorization_mode="vector_entry_point", **kwargs
 )
@@ -53,6 +57,21 @@ CASES = {
     "many().reset(seed=np.int64(3))": "accepted",
     "make().reset(options={'state': {'hinge': 1}})": "UsageError: a start state must be numbers",
     "embedding.encode([0, 1, 0, 0])": "accepted",
+    "policy([0.5] * 9)": "accepted",
+    "policy(0.5)": "PlanspaceError: the policy was trained on observations of 9 numbers",
+    "policy([])": "PlanspaceError: the policy was trained on observations of 9 numbers",
+    "planspace.load_policy(None)": "UsageError: expected a folder or a ready-made name, got None.",
+    "planspace.load_demos(None)": "UsageError: expected a folder or a ready-made name, got None.",
+    "train(embedding=[3])": "UsageError: expected the path of an embedding's folder, got 3.",
+    "steer([0.1, 0.0])": "accepted",
+    "steer(np.zeros((1, 2)))": "UsageError: the state must be 2 finite numbers (hinge, hingevel), got array",
+    "steer(0.0)": "UsageError: the state must be 2 finite numbers (hinge, hingevel), got 0.0.",
+    "steer(None)": "UsageError: the state must be 2 finite numbers (hinge, hingevel), got None.",
+    "steer('ab')": "UsageError: the state must be 2 finite numbers (hinge, hingevel), got 'ab'.",
+    "steer.reset(0, 'ab')": "UsageError: the target must be 0 finite numbers, got 'ab'.",
+    "control(embedding='pendulum')": "UsageError: `embedding` must be an Embedding, got 'pendulum'",
+    "control(config={})": "UsageError: `config` must be a ControlConfig, got {}.",
+    "control(plans='pendulum')": "UsageError: `plans` must be a Demos, got 'pendulum': load them first.",
     "np.testing.assert_array_equal(*map(embedding.encode, ([0, 1, 0, 0], [0.0, 1.0, 0.0, 0.0])))": "accepted",
 }
 

@@ -148,14 +148,3 @@ def test_an_action_that_is_not_finite_gives_a_one_line_error(
     assert main(["play", str(tmp_path)]) == 1
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.splitlines()) == 1 and "is not finite" in said.err
-
-
-def test_a_ready_made_policy_takes_lists_and_no_other_sizes() -> None:
-    policy = load_policy("cartpole-swingup")
-    num = policy.about["num_obs"]
-    np.testing.assert_array_equal(policy([0.5] * num), policy(np.full(num, 0.5)))  # pyright: ignore
-    for wrong in (0.5, [0.5] * (num - 1), []):
-        with pytest.raises(PlanspaceError, match=f"trained on observations of {num} numbers"):
-            policy(wrong)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(UsageError, match="expected a folder or the name of ready-made policy, got None"):
-        load_policy(None)  # pyright: ignore[reportArgumentType]

@@ -61,8 +61,6 @@ def test_an_embedding_can_be_given_by_its_folder(embedding_folder: Path, tmp_pat
     config = replace(config, num_seeds=2)
     with pytest.raises(PlanspaceError, match="num_seeds was 1, now 2"):
         train_policies(TASK, config, embedding=[str(embedding_folder)], out=run)
-    with pytest.raises(UsageError, match="expected the path of an embedding"):
-        train_policies(TASK, config, embedding=[3], out=run)  # pyright: ignore
 
 
 def test_an_embedding_that_was_replaced_is_noticed(embedding: Embedding, tmp_path: Path) -> None:
@@ -108,7 +106,7 @@ def test_wrong_combinations_of_task_and_embedding_are_refused(embedding: Embeddi
     [
         ({"num_seeds": 0}, "`num_seeds` must be at least 1, got 0"),
         ({"seed": -1}, "`seed` must be at least 0, got -1"),
-        ({"seed": 2**32 - 2}, "`seed` must be such that no seed reaches 4294967296, got 4294967294"),
+        ({"seed": 2**32 - 2}, "`seed` must be at most 4294967291, as JAX knows 2^32 seeds, got 4294967294"),
         ({"steps": "5"}, "`steps` must be a whole number, got '5'"),
         ({"clone": 10.5}, "`clone` must be a whole number, got 10.5"),
         ({"eval_every": -1}, "`eval_every` must be at least 0, got -1"),

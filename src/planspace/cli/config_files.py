@@ -148,20 +148,20 @@ def refuse_inputs(settings: Mapping[str, Any], where: str, **options: str) -> No
         given = settings.get(key) or ()
         each = given if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
         if any(not isinstance(one, str) or not re.fullmatch("[0-9a-f]{64}", one) for one in each):
-            raise UsageError(f"{where}: {key} is no setting of this file: give {option} on the command line.")
+            raise UsageError(f"{where}: `{key}` cannot be set in a file: use {option}.")
 
 
-def whole_in_file(settings: Mapping[str, Any], name: str, where: str) -> int | None:
-    """A whole number of at least 0 in a file of settings; None without it.
+def whole_in_file(settings: Mapping[str, Any], name: str, where: str, least: int) -> int | None:
+    """A whole number in a file of settings; None without it.
 
     Raises:
-        UsageError: it is something else.
+        UsageError: it is something else, or less than `least`.
     """
     if name not in settings:
         return None
     value = settings[name]
-    if type(value) is not int or value < 0:
-        raise UsageError(f"{where}: {name} must be a whole number of at least 0, got {quoted(value)}.")
+    if type(value) is not int or value < least:
+        raise UsageError(f"{where}: {name} must be a whole number of at least {least}, got {quoted(value)}.")
     return value
 
 

@@ -89,8 +89,8 @@ class Control:
     """Print JSON."""
     config_file: ConfigFile = None
     config: ControlConfig = field(default_factory=ControlConfig)
-    episode_steps: Annotated[int | None, Suppress] = None
-    """Control steps of an episode, as the file of `--config` says."""
+    recorded: Annotated[tuple[str, int], Suppress] = ("", 0)
+    """The task and its steps in an episode, as the file of `--config` says."""
 
     @classmethod
     def default(cls, arguments: Sequence[str]) -> "Control":
@@ -104,9 +104,13 @@ class Control:
         if path:
             config = with_settings(config, file, path, ignored=RECORDED)
             refuse_inputs(file, path, embedding="--embedding DIR", pixels="--pixels DIR", plans="--plans DIR")
-        seed = whole_in_file(file, "seed", path)
-        steps = whole_in_file(file, "episode_steps", path)
-        return cls(method=method, config=config, seed=seed or 0, episode_steps=steps)
+            if "starts" in file:
+                raise UsageError(
+                    f"{path} is of episodes whose starts were given from Python: repeat it there."
+                )
+        seed, steps = whole_in_file(file, "seed", path, 0), whole_in_file(file, "episode_steps", path, 1)
+        recorded = str(file.get("task")), (steps or 0) * config.action_repeat
+        return cls(method=method, config=config, seed=seed or 0, recorded=recorded)
 
     def __call__(self) -> None:
         """Control the episodes, film them, and print what they amount to."""
@@ -130,8 +134,9 @@ class Control:
             embedding = encoder.teacher
         plans = None if self.plans is None else load_demos(self.plans)
         episode_s = self.episode_s
-        if episode_s is None and self.episode_steps is not None:
-            episode_s = self.episode_steps * plant.repeating(self.config.action_repeat).control_step
+        task, steps = self.recorded
+        if episode_s is None and steps and task == plant.task.name:
+            episode_s = steps * plant.control_step
         if plans is not None:
             self._check_plans(plans.info, plant)
         if self.config.follow_s and plans is None:

@@ -14,7 +14,7 @@ SAME_PRESS_S = 0.5
 """A signal this soon after the first counts as the same: `timeout` and some shells send it twice."""
 
 AGAIN_S = 0.05
-"""After this time, a signal is sent again that arrived in one of `CALLBACKS`."""
+"""After this time, a signal is heeded that arrived in one of `CALLBACKS` [s]."""
 CALLBACKS = ("_xla_gc_callback", "__del__")
 """Functions that garbage collection calls: JAX's, and those of objects."""
 
@@ -46,17 +46,22 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
     arrivals, wakeup = socket.socketpair()
     wakeup.setblocking(False)
     arrived: list[int] = []
+    resent: list[int] = []
+
+    def send_again(number: int) -> None:
+        resent.append(number)
+        signal.raise_signal(number)
 
     def stop(number: int, frame: FrameType | None) -> None:
         if arrived:
             return
         if _ignores_exceptions(frame):
-            threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
+            threading.Timer(AGAIN_S, send_again, (number,)).start()
             return
         arrived.append(number)
         raise Interrupted(number)
 
-    threading.Thread(target=_end_at_second, args=(arrivals, set(before)), daemon=True).start()
+    threading.Thread(target=_end_at_second, args=(arrivals, set(before), resent), daemon=True).start()
     wakeup_before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
     try:
         for number in before:
@@ -81,12 +86,21 @@ def _ignores_exceptions(frame: FrameType | None) -> bool:
     return False
 
 
-def _end_at_second(arrivals: socket.socket, numbers: set[int]) -> None:
-    """Watch for signals in a thread, because the main thread may be inside a long call in C."""
+def _end_at_second(arrivals: socket.socket, numbers: set[int], resent: list[int]) -> None:
+    """Watch for signals in a thread, because the main thread may be inside a long call in C.
+
+    Args:
+        arrivals: gives the number of each signal.
+        numbers: the signals that are watched for.
+        resent: signals that were sent again, which are no new ones; taken off as they arrive.
+    """
     first = None
     with arrivals:
         while arrival := arrivals.recv(1):
             if arrival[0] not in numbers:
+                continue
+            if resent:
+                resent.pop()
                 continue
             if first is not None and time.monotonic() - first > SAME_PRESS_S:
                 os._exit(128 + arrival[0])

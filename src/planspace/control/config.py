@@ -8,7 +8,7 @@ from planspace.control.method import PAGE, Method
 from planspace.control.methods import MPPI
 from planspace.control.splines import SplineOrder
 from planspace.errors import UsageError, check_setting, unknown
-from planspace.seams import check_fits, check_numbers, unset_if
+from planspace.seams import check_field_types, check_fits, unset_if
 
 CostName = Literal["z", "time", "reward", "raw"]
 """What a controller minimises: the distance to the goal in z, the time to it, minus the task's reward, or the
@@ -69,7 +69,7 @@ class ControlConfig:
                 fit the protocol `Method`.
         """
         check_fits(self.method, Method, PAGE)
-        check_numbers(self)
+        check_field_types(self)
         for name, known in (("cost", CostName), ("spline", SplineOrder)):
             if getattr(self, name) not in get_args(known):
                 raise unknown(name, getattr(self, name), get_args(known))

@@ -20,6 +20,7 @@ from planspace.control.takeover import Takeover
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError, quoted
+from planspace.seams import article
 from planspace.tasks.problem import Problem
 from planspace.tasks.task import Task
 
@@ -57,13 +58,9 @@ class Controller:
             UsageError: problem, embedding and settings do not fit together.
         """
         self.config = ControlConfig() if config is None else config
-        for name, given, kind in (
-            ("embedding", embedding, Embedding),
-            ("config", self.config, ControlConfig),
-            ("plans", plans, Demos),
-        ):
-            if given is not None and not isinstance(given, kind):
-                raise UsageError(f"`{name}` must be of type {kind.__name__}, got {quoted(given)}.")
+        _check_kind("embedding", embedding, Embedding, ": load it first")
+        _check_kind("config", config, ControlConfig)
+        _check_kind("plans", plans, Demos, ": load them first")
         self.plant = Plant.find(problem).repeating(self.config.action_repeat)
         self.embedding = embedding
         num = max(self.config.samples, NUM_POLICIES) if self.config.ilqr_rounds else self.config.samples
@@ -94,15 +91,16 @@ class Controller:
             UsageError: the target has another shape, or a number that is not finite.
         """
         size = self.plant.task.target_size
-        self._target_missing = target is None and size > 0
-        target = np.empty(0) if target is None else np.asarray(target, dtype=float)
-        if not self._target_missing and (target.shape != (size,) or not np.isfinite(target).all()):
+        if target is None:
+            goal = np.empty(0)
+        elif (goal := _finite(target, size)) is None:
             raise UsageError(f"the target must be {size} finite numbers, got {quoted(target)}.")
+        self._target_missing = len(goal) < size
         self._rng = np.random.default_rng(seed)
         self._mean = np.zeros((self.config.knots, len(self._half)))
-        self._cost: Cost = make_cost(self.plant, self.config, target, self.embedding)
+        self._cost: Cost = make_cost(self.plant, self.config, goal, self.embedding)
         goal_held = self.config.regulator and self.plant.problem.hold
-        self._takeover = Takeover(self.plant, self.plant.goal(target)) if goal_held else None
+        self._takeover = Takeover(self.plant, self.plant.goal(goal)) if goal_held else None
         if self._follower is not None:
             assert self._takeover is not None
             self._follower.start(self._takeover)
@@ -151,13 +149,12 @@ class Controller:
             raise UsageError(
                 f"the goals of {self.plant.task.name} are drawn: give the episode's with reset(target=...)."
             )
-        with contextlib.suppress(TypeError, ValueError):
-            array = np.asarray(state, dtype=float)
-            if array.shape == (len(names),) and np.isfinite(array).all():
-                return array
-        raise UsageError(
-            f"the state must be {len(names)} finite numbers ({', '.join(names)}), got {quoted(state)}."
-        )
+        found = _finite(state, len(names))
+        if found is None:
+            raise UsageError(
+                f"the state must be {len(names)} finite numbers ({', '.join(names)}), got {quoted(state)}."
+            )
+        return found
 
     def _make_splines(self) -> None:
         """Compute what turns knots into controls, and shifts knots by a control step."""
@@ -237,6 +234,21 @@ class Controller:
         states[diverged] = state
         costs = self._cost(states, controls) + config.invalid_cost * invalid / self.num_steps
         return states, controls, np.where(diverged, np.inf, costs)
+
+
+def _check_kind(name: str, given: Any, kind: type, advice: str = "") -> None:
+    if given is not None and not isinstance(given, kind):
+        what = article(kind.__name__)
+        raise UsageError(f"`{name}` must be {what}, got {quoted(given)}{advice}.")
+
+
+def _finite(given: Any, size: int) -> Float[np.ndarray, " number"] | None:
+    """A vector of so many finite numbers as an array; None if it is none."""
+    with contextlib.suppress(TypeError, ValueError):
+        array = np.asarray(given, dtype=float)
+        if array.shape == (size,) and np.isfinite(array).all():
+            return array
+    return None
 
 
 def _make_follower(

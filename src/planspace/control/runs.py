@@ -6,6 +6,7 @@ DIR/demos/         those that ended at the goal, until they arrived: demonstrati
 DIR/log.jsonl      one row an episode: return, success, wall times
 """
 
+import json
 import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,8 +35,9 @@ from planspace.progress import progress
 from planspace.seams import plain_settings
 from planspace.storage.arrays import arrays_hash
 from planspace.storage.checks import reject_malformed
+from planspace.storage.files import read_bytes
 from planspace.storage.provenance import Provenance
-from planspace.storage.rows import append_rows, read_rows
+from planspace.storage.rows import append_rows, is_row, read_rows
 from planspace.storage.runs import lock_folder, open_run
 from planspace.tasks.task_hash import with_todays_hash
 
@@ -138,16 +140,15 @@ def control_into(  # noqa: PLR0913
         if remaining:
             run = control_all(setup, seed, remaining, steps, workers, starts)
             with closing(run) as episodes:
-                _extend(out, whole, demos, _shown(label, remaining, num, episodes))
+                _extend(out, logged, whole, demos, _shown(label, remaining, num, episodes))
         return summarise(out, config)
 
 
 def _logged(out: Path) -> set[int]:
-    """Numbers of the episodes that the log of a run folder has; a repaired log can lack some."""
+    """Numbers of the episodes whose rows the log of a run folder has; a repaired log can lack some."""
     if not (out / LOG).exists():
         return set()
-    with reject_malformed(out / LOG):
-        return {int(row["episode"]) for row in read_rows(out / LOG)}
+    return {json.loads(line)["episode"] for line in read_bytes(out / LOG).splitlines() if is_row(line)}
 
 
 def _settings(setup: Setup, seed: int, steps: int) -> dict[str, Any]:
@@ -174,7 +175,7 @@ def summarise(out: Path, config: ControlConfig) -> ControlSummary:
         PlanspaceError: the log is missing or damaged.
     """
     with reject_malformed(out / LOG):
-        rows = read_rows(out / LOG)
+        rows = sorted(read_rows(out / LOG), key=lambda row: row["episode"])
         returns = [float(row["return"]) for row in rows]
         mean = {
             key: float(np.mean([row[key] for row in rows])) for key in ("success", "real_time", "regulated")
@@ -205,11 +206,16 @@ def successes(out: Path) -> list[bool]:
 
 
 def _extend(
-    out: Path, whole: DemoFolder, demos: DemoFolder, episodes: Iterable[tuple[int, ControlledEpisode]]
+    out: Path,
+    logged: set[int],
+    whole: DemoFolder,
+    demos: DemoFolder,
+    episodes: Iterable[tuple[int, ControlledEpisode]],
 ) -> None:
     """Save each episode as it ends: its row, then its demonstration, then the episode, which counts it."""
     for i, episode in episodes:
-        append_rows(out / LOG, [_row(i, episode)], key="episode")
+        if i not in logged:
+            append_rows(out / LOG, [_row(i, episode)], key="episode")
         if demos.next_index <= i:  # otherwise a kill came between the two datasets
             arrived = _arrived(episode, i)
             demos.append([] if arrived is None else [arrived], i + 1)

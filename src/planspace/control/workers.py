@@ -23,7 +23,7 @@ from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_
 
 @dataclass(frozen=True)
 class Setup:
-    """What controls an episode, and with what it is controlled."""
+    """The plant, and all that its controller needs."""
 
     plant: Plant
     embedding: Embedding | None

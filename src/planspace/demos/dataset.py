@@ -119,7 +119,7 @@ class Demos:
             target.extend(self.episode(i) for i in range(target.num_episodes, len(self)))
 
     def _check_same_episodes(self, folder: Path) -> None:
-        """Check what a dataset says of its demonstrations beside what the hash covers.
+        """Check the fields of a dataset that the hash does not cover.
 
         Raises:
             PlanspaceError: it says something else.

@@ -84,7 +84,7 @@ def load_embedding(path: str | Path) -> Embedding:
         raise UsageError(f"expected the path of an embedding's folder, got {path!r:.60}.")
     path = find_folder(path, READY_EMBEDDING)
     if not (path / DESCRIPTION).exists():
-        if (path / CONFIG).exists() and "demos" in read_json(path / CONFIG):
+        if (path / CONFIG).exists() and "split_seed" in read_json(path / CONFIG):
             raise PlanspaceError(
                 f"{path} is not finished: its training is running or was interrupted; repeat the command."
             )

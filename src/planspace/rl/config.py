@@ -9,14 +9,14 @@ from tyro.conf import arg
 from planspace.errors import UsageError, check_setting, unknown
 from planspace.rl.algorithm import HOW_TO, Algorithm
 from planspace.rl.algorithms.trpo import TRPO
-from planspace.seams import UNSET_IF_ZERO, check_fits, check_numbers, unset_if, with_settings
+from planspace.seams import UNSET_IF_ZERO, check_field_types, check_fits, unset_if, with_settings
 from planspace.tasks.observation_types import ObservationType, RewardType
 
 BATCH_STEPS = 4000
 """Steps per iteration and seed of algorithms without a default of their own (the 2020 runs: 20 episodes of
 200, or 40 of 100)."""
 
-LARGEST_SEED = 2**32
+MOST_SEEDS = 2**32
 """JAX takes seeds modulo this number."""
 
 ZMode = Literal["none", "augment", "replace"]
@@ -83,7 +83,8 @@ class TrainConfig:
     seed: int = 0
     """The first seed; the others follow it."""
     steps: int = 960_000
-    """Environment steps per seed, rounded up to whole iterations of `batch_steps`."""
+    """Environment steps per seed, rounded up to iterations of `batch_steps`, which are then rounded to whole
+    episodes."""
     batch_steps: int = 0
     """Environment steps per iteration and seed, rounded to whole episodes. 0: the algorithm's default, which
     is 1000 for SAC and 4000 for other algorithms."""
@@ -101,7 +102,7 @@ class TrainConfig:
                 `z_to` is given without z.
         """
         check_fits(self.algorithm, Algorithm, HOW_TO)
-        check_numbers(self)
+        check_field_types(self)
         if self.batch_steps == 0:
             object.__setattr__(self, "batch_steps", default_batch_steps(self.algorithm))
         names = {
@@ -134,8 +135,8 @@ class TrainConfig:
             for name in names:
                 check_setting(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
 
-        last = self.seed + self.num_seeds - 1
-        check_setting("seed", self.seed, last < LARGEST_SEED, f"such that no seed reaches {LARGEST_SEED}")
+        most = MOST_SEEDS - self.num_seeds
+        check_setting("seed", self.seed, self.seed <= most, f"at most {most}, as JAX knows 2^32 seeds")
 
     def _check_uses_of_plans(self) -> None:
         """Check the settings of resets and cloning.

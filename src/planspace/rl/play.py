@@ -53,14 +53,12 @@ def make_env(
         embedding = policy.load_embedding()
         observer = Observer(task, about["obs"], about["z"], about["z_to"], (embedding,), goal="z")
         return GoalObservation(own, observer)
-    if about["z"] != "none":
-        policy.load_embedding()  # checks it
     return envs.make_env(
         task,
         obs=about["obs"],
         reward=reward,
         render_mode=render_mode,
-        embedding=None if about["z"] == "none" else policy.embedding,
+        embedding=None if about["z"] == "none" else policy.load_embedding(),
         mode="replace" if about["z"] == "replace" and about["z_to"] == "both" else "augment",
     )
 

@@ -35,12 +35,12 @@ def find_folder(path: str | Path, part: str) -> Path:
         The path itself if it exists or is more than a name; its reader then says what is wrong with it.
 
     Raises:
-        UsageError: it is no path; or a name, and neither a folder nor an artefact has it; the nearest one is
+        UsageError: it is not a path, or a name that neither a folder nor an artefact has; the nearest name is
             suggested.
         PlanspaceError: the hub does not give what the address names; see `hub.pull_from_hub`.
     """
     if not isinstance(path, str | PathLike):
-        raise UsageError(f"expected a folder or the name of ready-made {part}, got {quoted(path)}.")
+        raise UsageError(f"expected a folder or a ready-made name, got {quoted(path)}.")
     found = Path(path)
     if not found.exists() and (pulled := pull_address(str(path))) is not None:
         return pulled

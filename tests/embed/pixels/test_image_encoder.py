@@ -193,3 +193,15 @@ def test_the_command_continues_a_finished_training(
     assert "on held-out plans" in capsys.readouterr().out
     assert main(["pixels", str(demo_folder)]) == 2
     assert "`--teacher EMBEDDING` is required" in capsys.readouterr().err
+
+
+def test_other_run_folders_are_no_encoders(tmp_path: Path, folder: Path, embedding_folder: Path) -> None:
+    from planspace import load_embedding
+
+    for load, run in ((load_image_encoder, embedding_folder), (load_embedding, folder)):
+        with pytest.raises(PlanspaceError, match="is not an e"):
+            load(run)
+    (tmp_path / "config.json").write_text('{"algorithm": {}}')
+    for load in (load_image_encoder, load_embedding):
+        with pytest.raises(PlanspaceError, match="is not an e"):
+            load(tmp_path)
