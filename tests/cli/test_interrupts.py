@@ -16,16 +16,16 @@ needs_posix = pytest.mark.skipif(os.name != "posix", reason="POSIX signals")
 def test_a_signal_in_a_callback_of_the_garbage_collection_is_not_lost() -> None:
     sent = []
 
-    def _xla_gc_callback(phase: str, info: dict) -> None:  # JAX's has this name
+    def callback(phase: str, info: dict) -> None:
         if not sent:
             sent.append(phase)
             os.kill(os.getpid(), signal.SIGTERM)
 
-    gc.callbacks.append(_xla_gc_callback)
+    gc.callbacks.append(callback)
     try:
         with pytest.raises(Interrupted, match="SIGTERM"), interruptible(whole_process=False):
             gc.collect()
             assert sent
             time.sleep(5)
     finally:
-        gc.callbacks.remove(_xla_gc_callback)
+        gc.callbacks.remove(callback)

@@ -64,7 +64,7 @@ def test_plans_are_the_same_with_and_without_trees(tmp_path: Path) -> None:
     assert "tree" not in (tmp_path / "without" / "manifest.json").read_text()
     trees = load_demos(tmp_path / "with").trees
     assert len(trees) == 1 and 1 < len(trees[0]) <= 100
-    with pytest.raises(ps.PlanspaceError, match=r"config\.keep_trees was None, now True"):
+    with pytest.raises(ps.PlanspaceError, match=r"config\.keep_trees was not set, now True"):
         plan_into(CARTPOLE, tmp_path / "without", num=3, seed=0, config=KEEP, workers=0)
 
 

@@ -177,7 +177,7 @@ def test_a_run_records_its_environment_and_its_policies_play(tmp_path: Path) -> 
         "obs_names": [],
     }
     assert settings["versions"]["gymnasium"] == gymnasium.__version__
-    with pytest.raises(PlanspaceError, match=r"environment\.kwargs\.push was None, now 2\.0"):
+    with pytest.raises(PlanspaceError, match=r"environment\.kwargs\.push was not set, now 2\.0"):
         train_policies(task, CONFIG, out=run)
     policy = ps.load_policy(run)
     with pytest.raises(PlanspaceError, match="cannot start an episode at a given state"):

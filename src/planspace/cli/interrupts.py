@@ -4,19 +4,16 @@ import contextlib
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SAME_PRESS_S = 0.5
 """A signal this soon after the first counts as the same: `timeout` and some shells send it twice."""
-
 AGAIN_S = 0.05
-"""After this time, a signal is heeded that arrived in one of `CALLBACKS` [s]."""
-CALLBACKS = ("_xla_gc_callback", "__del__")
-"""Functions that garbage collection calls: JAX's, and those of objects."""
+"""After this time, a signal is sent again [s]; see `_sending_again`."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -24,6 +21,7 @@ class Interrupted(KeyboardInterrupt):
 
     def __init__(self, number: int):
         super().__init__(signal.Signals(number).name)
+        self.number = number
         self.exit_code = 128 + number
 
 
@@ -48,25 +46,18 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
     arrived: list[int] = []
     resent: list[int] = []
 
-    def send_again(number: int) -> None:
-        resent.append(number)
-        signal.raise_signal(number)
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if arrived:
-            return
-        if _ignores_exceptions(frame):
-            threading.Timer(AGAIN_S, send_again, (number,)).start()
-            return
-        arrived.append(number)
-        raise Interrupted(number)
+    def stop(number: int, frame: object) -> None:
+        if not arrived:
+            arrived.append(number)
+            raise Interrupted(number)
 
     threading.Thread(target=_end_at_second, args=(arrivals, set(before), resent), daemon=True).start()
     wakeup_before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
     try:
         for number in before:
             signal.signal(number, stop)
-        yield
+        with _sending_again(arrived, resent):
+            yield
     finally:
         if arrived and whole_process:
             wakeup.detach()  # stays open
@@ -77,13 +68,35 @@ def interruptible(*, whole_process: bool) -> Iterator[None]:
             wakeup.close()
 
 
-def _ignores_exceptions(frame: FrameType | None) -> bool:
-    """Whether the code that a signal interrupts runs where Python prints exceptions and goes on."""
-    while frame is not None:
-        if frame.f_code.co_name in CALLBACKS:
-            return True
-        frame = frame.f_back
-    return False
+@contextlib.contextmanager
+def _sending_again(arrived: list[int], resent: list[int]) -> Iterator[None]:
+    """Send a signal again if Python only prints its exception, as in a callback of the garbage collection.
+
+    Args:
+        arrived: the signal that arrived; emptied in this case.
+        resent: gets the signals that are sent again.
+    """
+    hook_before = sys.unraisablehook
+
+    def send(number: int) -> None:
+        resent.append(number)
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, number)  # also ends its sleep
+        else:
+            signal.raise_signal(number)
+
+    def ignored(unraisable: "sys.UnraisableHookArgs") -> None:
+        if not isinstance(error := unraisable.exc_value, Interrupted):
+            hook_before(unraisable)
+            return
+        arrived.clear()
+        threading.Timer(AGAIN_S, send, (error.number,)).start()
+
+    sys.unraisablehook = ignored
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook_before
 
 
 def _end_at_second(arrivals: socket.socket, numbers: set[int], resent: list[int]) -> None:
