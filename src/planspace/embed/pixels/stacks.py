@@ -53,7 +53,7 @@ def check_pictures(demos: Demos, config: PictureConfig, frame_s: float) -> None:
         PlanspaceError: nothing can be drawn here.
     """
     model, space = demos.info.compile()
-    step, longest = float(model.opt.timestep), max(demos.times[demos.offsets[1:] - 1])
+    step, longest = float(model.opt.timestep), float(demos.times[demos.offsets[1:] - 1].max())
     wanted = (
         f"a multiple of the model's time step of {step:g} s, and at most a demonstration of {longest:g} s"
     )
