@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import Field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def check_fits(given: Any, protocol: type[Seam], page: str) -> Seam:
 
 
 def check_field_types(given: Any) -> None:
-    """Check the types of a dataclass's fields that are annotated as a number or as true or false.
+    """Check a dataclass's fields that are annotated as a number, as true or false, or as one of some names.
 
     Raises:
         UsageError: a field holds something else.
@@ -116,6 +116,8 @@ def check_field_types(given: Any) -> None:
     }
     for name, hint in get_type_hints(type(given)).items():  # without `Annotated`
         value = getattr(given, name)
+        if get_origin(hint) is Literal and value not in get_args(hint):
+            raise unknown(name, value, get_args(hint))
         if hint in kinds:
             types, wanted = kinds[hint]
             is_bool = isinstance(value, bool | np.bool_)

@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from planspace.errors import UsageError, check_setting, unknown
+from planspace.errors import UsageError, check_setting
 from planspace.rl.algorithm import HOW_TO, Algorithm
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.seams import UNSET_IF_ZERO, check_field_types, check_fits, unset_if, with_settings
@@ -105,19 +105,6 @@ class TrainConfig:
         check_field_types(self)
         if self.batch_steps == 0:
             object.__setattr__(self, "batch_steps", default_batch_steps(self.algorithm))
-        names = {
-            "obs": ObservationType,
-            "z": ZMode,
-            "z_to": ZTarget,
-            "goal": GoalMode,
-            "reward": TrainReward,
-            "shaping": ShapingType,
-            "reset_states": ResetStates,
-            "reset_schedule": ResetSchedule,
-        }
-        for name, known in names.items():
-            if getattr(self, name) not in get_args(known):
-                raise unknown(name, getattr(self, name), get_args(known))
         if self.z == "none" and self.z_to != "both":
             raise UsageError(f"z_to is {self.z_to!r}, but there is no z: set z to augment or replace.")
         if self.z == "none" and self.goal == "z":
