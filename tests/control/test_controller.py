@@ -211,3 +211,9 @@ def test_a_drawn_goal_must_be_given() -> None:
 def test_the_noise_is_divided_by_one_at_least() -> None:
     with pytest.raises(UsageError, match="`noise_spread` must be at least 1"):
         replace(BY_REWARD, noise_spread=0.5)
+
+
+def test_a_quaternion_of_zero_is_refused() -> None:
+    controller = Controller("quadrotor", config=BY_REWARD)
+    with pytest.raises(UsageError, match="of the state is zero, which is no rotation"):
+        controller(np.zeros(len(controller.plant.space.names)))

@@ -1,5 +1,6 @@
 """`planspace curves`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -7,11 +8,12 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from planspace.errors import UsageError
+from planspace.storage.checks import CONFIG
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Draw the learning curves of several runs in one figure.
+    """Draw the learning curves of several runs of one task in one figure.
 
     A line is the mean return over seeds, smoothed over 10 iterations. A band spans the second worst to the
     second best seed. The dashed line is the run with the highest smoothed return.
@@ -37,4 +39,27 @@ class Curves:
         if not self.runs:
             raise UsageError("which runs? Give the folders that `planspace train` made.")
         curves = {str(run): learning_curve(load_history(run)) for run in self.runs}
+        _check_same_returns(self.runs)
         print(save_figure(plot_curves(curves, self.title), make_folder(self.out), "curves"))
+
+
+def _check_same_returns(runs: Sequence[Path]) -> None:
+    """Check that the returns of runs may stand in one figure.
+
+    Raises:
+        UsageError: the runs are of different tasks or rewards.
+    """
+    from planspace.storage.json_files import read_json
+
+    def measured(run: Path) -> str:
+        saved = read_json(run / CONFIG)
+        reward = saved.get("reward", "dense")
+        return f"{saved.get('task')} with the {'dense' if reward == 'progress' else reward} reward"
+
+    first = measured(runs[0])
+    for run in runs[1:]:
+        if (other := measured(run)) != first:
+            raise UsageError(
+                f"these returns cannot be compared: {runs[0]} is {first}, {run} is {other}. "
+                "Draw each in a figure of its own."
+            )

@@ -154,6 +154,10 @@ class Controller:
             raise UsageError(
                 f"the state must be {len(names)} finite numbers ({', '.join(names)}), got {quoted(state)}."
             )
+        for first in self.plant.space.quaternion_columns:
+            if not found[first : first + 4].any():
+                four = ", ".join(names[first : first + 4])
+                raise UsageError(f"the quaternion ({four}) of the state is zero, which is no rotation.")
         return found
 
     def _make_splines(self) -> None:
