@@ -100,6 +100,26 @@ def test_random_states_are_valid_and_different(rng: np.random.Generator) -> None
     assert (np.abs(states[:, [0, 2, 3]]) <= [1.0, 3.0, 10.0]).all()
 
 
+def test_random_motions_are_kept_as_demonstrations(rng: np.random.Generator, tmp_path: Path) -> None:
+    import random_motions
+    import true_times
+
+    plant = true_times.Plant(load_problem("cartpole-swingup"))
+    motions = random_motions.polished_motions(plant, 2, rng)
+    random_motions.keep(tmp_path / "part.npz", motions)
+    episodes = random_motions.episodes_of(tmp_path / "part.npz", plant.dt, 5)
+    assert [episode.index for episode in episodes] == [5, 6]
+    for motion, episode in zip(motions, episodes, strict=True):
+        np.testing.assert_array_equal(episode.states, motion.states)
+        np.testing.assert_array_equal(episode.controls, motion.controls)
+        assert episode.times[-1] == pytest.approx(len(motion.controls) * plant.dt)
+        moved = episode.states[0]
+        for control in episode.controls:
+            moved, valid = (x[0] for x in plant.step(moved[None], control[None], plant.dt))
+            assert valid
+        np.testing.assert_allclose(moved, episode.states[-1], atol=1e-6)
+
+
 def test_the_table_of_the_docs_is_that_of_the_results() -> None:
     import csv_rows
     import true_times_table
