@@ -148,10 +148,13 @@ def test_control_of_deepmind_controls_acrobot() -> None:
         ) in rows, row
     chosen = ("z", "0.64", "way back")
     best = [row for row in found if (row["cost"], row["horizon_s"], row["tried"]) == chosen]
-    assert len(found) > 5 and [int(row["starts"]) for row in best] == [20, 20]
-    (other,) = (row["return_mean"] for row in best if row["seed"] == "1")
+    assert len(found) > 5 and [int(row["starts"]) for row in best] == [20] * 4
+    fresh = [row for row in best if row["seed"] != "0"]
+    earned = sum(float(row["return_mean"]) for row in fresh) / len(fresh)
+    held = sum(round(float(row["success"]) * int(row["starts"])) for row in fresh)
+    assert f"{held} of 60 starts" in (RESULTS.parent / "README.md").read_text()
     for page in ("README.md", "docs/training.md", "docs/appendix/control.md"):
-        assert f"earns {float(other):.0f}" in (RESULTS.parent / page).read_text().replace("\n", " "), page
+        assert f"earns {earned:.0f}" in (RESULTS.parent / page).read_text().replace("\n", " "), page
 
 
 def test_control_of_two_poles() -> None:
