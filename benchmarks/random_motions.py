@@ -1,7 +1,8 @@
-"""Fast motions between random states, as demonstrations.
+r"""Fast motions between random states, as demonstrations.
 
     python benchmarks/random_motions.py cartpole-swingup --num 1200 --out motions
-    planspace embed motions --time-head --time-hidden 256 256 --time-plan-weight 1000 --out embedding
+    planspace embed motions --time-head --time-hidden 256 256 --time-steps 12000 \
+        --time-plan-weight 1000 --out z
 
 Motions at full control begin at uniform states of the start box and are polished to the shortest duration
 between their ends, as in `true_times.py --from-box`, with other random numbers. An embedding that is trained
@@ -14,11 +15,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from true_times import Known, Plant, planned
+from true_times import Plant, polished_motion
 
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
-from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import state_info
 from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem_file import load_problem
@@ -32,13 +32,8 @@ def polished_motions(plant: Plant, num: int, rng: np.random.Generator) -> list[T
     found: list[Trajectory] = []
     while len(found) < num:
         (start,) = plant.box_states(1, rng)
-        states, controls = plant.random_motion(start, rng)
-        goal = plant.goal(states[-1])
-        if len(controls) == 0 or goal.reached(start):
-            continue
-        path = planned(plant, start, goal, rng, PlanConfig(planner=Known(controls), restarts=1))
-        if path is not None:
-            found.append(path)
+        if (motion := polished_motion(plant, start, rng)) is not None:
+            found.append(motion[0])
     return found
 
 

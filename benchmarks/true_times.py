@@ -176,23 +176,32 @@ def pairs_polished(
     """
     paths, goals, durations, again = [], [], [], []
     for start in starts:
-        motion, controls = plant.random_motion(start, rng)
-        goal = plant.goal(motion[-1])
-        if len(controls) == 0 or goal.reached(start):
-            continue
-        path = planned(plant, start, goal, rng, PlanConfig(planner=Known(controls), restarts=1))
-        if path is not None:
+        found = polished_motion(plant, start, rng)
+        if found is not None:
+            path, end = found
             paths.append(path.states)
-            goals.append(motion[-1])
+            goals.append(end)
             durations.append(_duration(plant, path))
             if len(again) < checks:
-                again.append(_duration(plant, planned(plant, start, goal, rng)))
+                again.append(_duration(plant, planned(plant, start, plant.goal(end), rng)))
     if whole:
         begun = np.array([path[0] for path in paths])
         pairs = {"states": begun, "goals": np.array(goals), "time": np.array(durations)}
     else:
         pairs = pairs_on_paths(plant, paths, ALONG * len(paths), rng)
     return pairs | {"duration": np.array(durations), "check": np.array(again)}
+
+
+def polished_motion(
+    plant: Plant, start: np.ndarray, rng: np.random.Generator
+) -> tuple[Trajectory, np.ndarray] | None:
+    """A random motion, as short as the planner makes it, and where it ended; None if that failed."""
+    motion, controls = plant.random_motion(start, rng)
+    goal = plant.goal(motion[-1])
+    if len(controls) == 0 or goal.reached(start):
+        return None
+    path = planned(plant, start, goal, rng, PlanConfig(planner=Known(controls), restarts=1))
+    return None if path is None else (path, motion[-1])
 
 
 def pairs_on_paths(plant: Plant, paths: Sequence[np.ndarray], num: int, rng: np.random.Generator) -> Pairs:
