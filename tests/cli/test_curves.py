@@ -1,10 +1,12 @@
 """`planspace curves`."""
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
+
+from planspace.rl.saved_policy import DESCRIPTION
+from planspace.storage.json_files import read_sealed, write_sealed
 
 from .calls import call
 
@@ -17,8 +19,8 @@ def test_returns_of_two_kinds_are_not_drawn_together(
 ) -> None:
     other = tmp_path / "other"
     shutil.copytree(RUN, other)
-    settings = json.loads((RUN / "config.json").read_text())
-    (other / "config.json").write_text(json.dumps(settings | changed))
+    settings = read_sealed(RUN / DESCRIPTION)
+    write_sealed(other / DESCRIPTION, settings | changed)
     code, _, err = call(capsys, "curves", RUN, other, "--out", tmp_path / "both")
     assert code == 2 and "these returns cannot be compared" in err
     task, reward = changed.get("task", settings["task"]), changed.get("reward", settings["reward"])

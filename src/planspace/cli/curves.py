@@ -8,7 +8,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from planspace.errors import UsageError
-from planspace.storage.checks import CONFIG
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,12 @@ def _check_same_returns(runs: Sequence[Path]) -> None:
     Raises:
         UsageError: the runs are of different tasks or rewards.
     """
-    from planspace.storage.json_files import read_json
+    from planspace.rl.saved_policy import DEFAULTS, DESCRIPTION, SCHEMA
+    from planspace.storage.json_files import read_description
 
     def measured(run: Path) -> str:
-        saved = read_json(run / CONFIG)
-        reward = saved.get("reward", "dense")
-        return f"{saved.get('task')} with the {'dense' if reward == 'progress' else reward} reward"
+        about = DEFAULTS | read_description(run / DESCRIPTION, kind="policies", schema=SCHEMA)
+        return f"{about.get('task')} with the {about['reward']} reward"
 
     first = measured(runs[0])
     for run in runs[1:]:
