@@ -8,7 +8,7 @@ Motions at full control begin at uniform states of the start box and are polishe
 between their ends, as in `true_times.py --from-box`, with other random numbers. An embedding that is trained
 on them knows times between more states than one that is trained on plans to one goal.
 
-Parts of 100 motions are kept in DIR.parts, so the same command goes on.
+The same command goes on, and a larger `--num` adds motions, 100 at a time.
 """
 
 import argparse
@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from true_times import Plant, polished_motion
 
-from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
+from planspace.demos.folder import DemoFolder
 from planspace.plan.demonstrations import state_info
 from planspace.plan.trajectory import Trajectory
 from planspace.tasks.problem_file import load_problem
@@ -37,27 +37,15 @@ def polished_motions(plant: Plant, num: int, rng: np.random.Generator) -> list[T
     return found
 
 
-def keep(path: Path, motions: list[Trajectory]) -> None:
-    """Save a part."""
-    states = np.concatenate([motion.states for motion in motions])
-    controls = np.concatenate([motion.controls for motion in motions])
-    np.savez(path, states=states, controls=controls, steps=[len(motion.controls) for motion in motions])
-
-
-def episodes_of(path: Path, step: float, first: int) -> list[Episode]:
-    """The motions of a part as episodes, numbered from `first` on."""
-    part = dict(np.load(path))
-    ends = np.cumsum(part["steps"])
-    controls = np.split(part["controls"], ends[:-1])
-    states = np.split(part["states"], (ends + np.arange(1, len(ends) + 1))[:-1])
-    return [
-        Episode(x, u, step * np.arange(len(x)), x[-1], True, first + k, first + k, cost=step * len(u))
-        for k, (x, u) in enumerate(zip(states, controls, strict=True))
-    ]
+def episode_of(motion: Trajectory, step: float, index: int) -> Episode:
+    """A motion as a demonstration."""
+    states, controls = motion.states, motion.controls
+    times = step * np.arange(len(states))
+    return Episode(states, controls, times, states[-1], True, index, index, cost=step * len(controls))
 
 
 def main() -> None:
-    """Make the parts that are missing, and join them."""
+    """Add the parts that are missing."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -67,16 +55,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the demonstrations")
     options = parser.parse_args()
     plant = Plant(load_problem(options.problem))
-    parts = options.out.with_suffix(".parts")
-    parts.mkdir(parents=True, exist_ok=True)
-    episodes: list[Episode] = []
-    for k in range(-(-options.num // PART)):
-        path = parts / f"part-{k:03d}.npz"
-        if not path.exists():
-            keep(path, polished_motions(plant, PART, np.random.default_rng([options.seed, k])))
-            print(f"{(k + 1) * PART} motions", flush=True)
-        episodes += episodes_of(path, plant.dt, len(episodes))
-    Demos.from_episodes(state_info(plant.problem), episodes).save(options.out)
+    settings = {"problem": plant.problem.hash, "seed": options.seed}
+    folder = DemoFolder(options.out, state_info(plant.problem), settings)
+    for first in range(folder.next_index, options.num, PART):
+        motions = polished_motions(plant, PART, np.random.default_rng([options.seed, first // PART]))
+        episodes = [episode_of(motion, plant.dt, first + k) for k, motion in enumerate(motions)]
+        folder.append(episodes, first + PART)
+        print(f"{first + PART} motions", flush=True)
 
 
 if __name__ == "__main__":

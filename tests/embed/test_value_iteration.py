@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from planspace.demos.dataset import Demos
+from planspace.demos.folder import DemoFolder
+from planspace.demos.load import load_demos
 from planspace.physics.angles import wrap
+from planspace.plan.demonstrations import state_info
 from planspace.tasks.problem_file import load_problem
 
 TOLERANCE = 0.02
@@ -106,8 +109,10 @@ def test_random_motions_are_kept_as_demonstrations(rng: np.random.Generator, tmp
 
     plant = true_times.Plant(load_problem("cartpole-swingup"))
     motions = random_motions.polished_motions(plant, 2, rng)
-    random_motions.keep(tmp_path / "part.npz", motions)
-    episodes = random_motions.episodes_of(tmp_path / "part.npz", plant.dt, 5)
+    made = [random_motions.episode_of(motion, plant.dt, 5 + k) for k, motion in enumerate(motions)]
+    DemoFolder(tmp_path / "motions", state_info(plant.problem), {}).append(made, 7)
+    kept = load_demos(tmp_path / "motions")
+    episodes = [kept.episode(i) for i in range(len(kept))]
     assert [episode.index for episode in episodes] == [5, 6]
     for motion, episode in zip(motions, episodes, strict=True):
         np.testing.assert_array_equal(episode.states, motion.states)
