@@ -5,21 +5,24 @@
         --steps 200000 --action-repeat 2 --seeds 5
     python benchmarks/uses.py acrobot-swingup --table
 
-Grid, claims and their margin are fixed here, before seeds are run. Seeds from 300 decide the claims;
+The study `planspace study uses` makes the same comparison on four tasks, from nothing. This program takes any
+plans and embedding, such as those of a task whose plans take long.
+
+Grid, claims and their margin are fixed before seeds are run. Seeds from 300 decide the claims;
 `--choose` runs seeds from 400 instead, on which settings may be chosen, and whose rows no claim reads. A unit
 is a few seeds of an arm. Its rows are added to results/rl/uses.csv when it is finished, and then it is not
 run again; an interrupted unit continues from its checkpoint in runs/uses. The guide is the plan-space
 controller with the embedding: the episodes in which it reached the goal take the place of the plans.
 
-The names of ready-made artefacts stand for plans and embedding. Arms that replay plans are left out for an
-algorithm without a replay buffer.
+The names of ready-made artefacts stand for plans and embedding. An algorithm without a
+replay buffer has no arms that replay plans.
 """
 
 import argparse
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +43,7 @@ from planspace.rl.training import train_policies
 from planspace.seams import with_settings
 from planspace.study.design import Claim
 from planspace.study.stats import MIN_SEEDS, Scores, iqm, judge
+from planspace.study.uses import MARGIN, Use, comparisons, ways
 from planspace.tasks.catalog import find_task
 
 FILE = Path(__file__).parent.parent / "results" / "rl" / "uses.csv"
@@ -49,45 +53,8 @@ CLAIM_SEED, CHOICE_SEED = 300, 400
 EVALUATIONS = 10
 """Evaluations of a training."""
 GUIDE_EPISODES = 30
-MARGIN = 0.05
-"""A claim needs a difference of more than this fraction of the task's range of returns."""
 DMC_RANGE = (0.0, 1000.0)
 """The returns of any task of DeepMind Control."""
-
-
-@dataclass(frozen=True)
-class Use:
-    """An arm: how it uses plans."""
-
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Settings of `TrainConfig` that differ from those of the arm without plans."""
-    encoder: str = ""
-    """What provides z: `z`, the embedding; `random`, an encoder with random weights; empty for no z."""
-    guided: bool = False
-    """Whether a controller's episodes take the place of the plans."""
-
-
-BOTH = {"resets": 0.5, "replay": 0.5}
-ARMS = {
-    "none": Use(),
-    "resets": Use({"resets": 0.5}),
-    "replay": Use({"replay": 0.5}),
-    "both": Use(BOTH),
-    "both + z": Use({**BOTH, "z": "augment"}, "z"),
-    "both + random encoder": Use({**BOTH, "z": "augment"}, "random"),
-    "guide": Use({"resets": 0.5, "reset_schedule": "reverse", "clone": 2000}, guided=True),
-}
-CLAIMS = (
-    ("starting at plans helps", "resets", "none"),
-    ("replaying plans helps", "replay", "none"),
-    ("both help", "both", "none"),
-    ("both help more than starting at plans", "both", "resets"),
-    ("both help more than replaying plans", "both", "replay"),
-    ("z helps in addition", "both + z", "both"),
-    ("z helps more than a random encoder", "both + z", "both + random encoder"),
-    ("a guide helps", "guide", "none"),
-)
-"""What is claimed of the last evaluation: text, arm, and the arm that it is compared with."""
 
 
 def unit_name(options: argparse.Namespace) -> str:
@@ -120,10 +87,10 @@ def settings_of(use: Use, options: argparse.Namespace, seed: int, num: int) -> T
 
 def encoder_of(use: Use, options: argparse.Namespace) -> Embedding | None:
     """The embedding of an arm."""
-    if not use.encoder and not use.guided:
+    if not use.objective and not use.guided:
         return None
-    if use.encoder == "random":
-        config = PRESETS["modern"].with_objective("random")
+    if use.objective not in ("", "variational"):
+        config = PRESETS["modern"].with_objective(use.objective)
         return fit_embedding(load_demos(options.plans), config=config, num_seeds=1, verbose=False)
     return load_embedding(options.embedding)
 
@@ -151,14 +118,14 @@ def file_name(text: str) -> str:
 
 def run_unit(arm: str, seeds: Sequence[int], options: argparse.Namespace) -> list[Row]:
     """Train some seeds of an arm, and return a row for each seed and evaluation."""
-    use, start = ARMS[arm], time.process_time()
+    use, start = options.ways[arm], time.process_time()
     config, embedding = settings_of(use, options, seeds[0], len(seeds)), encoder_of(use, options)
     plans = plans_of(use, options, embedding)
     name = file_name(f"{options.task}-{options.algo}-{unit_name(options)}-{arm}-{seeds[0]}")
     history = train_policies(
         options.task,
         config,
-        embedding=embedding if use.encoder else None,
+        embedding=embedding if use.objective else None,
         plans=plans,
         out=options.out / name,
         verbose=options.verbose,
@@ -207,7 +174,9 @@ def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
         == (options.task, options.algo, unit_name(options))
         and CLAIM_SEED <= int(row["seed"]) < CHOICE_SEED
     ]
-    found = {arm: scores_of(own) for arm in ARMS if (own := [row for row in chosen if row["arm"] == arm])}
+    found = {
+        arm: scores_of(own) for arm in options.ways if (own := [row for row in chosen if row["arm"] == arm])
+    }
     lines = ["| arm | seeds | last evaluation, interquartile mean (worst, best) | mean of all evaluations |"]
     lines += ["|---|---|---|---|"]
     for arm, scores in found.items():
@@ -216,7 +185,7 @@ def table(rows: Sequence[Row], options: argparse.Namespace) -> list[str]:
         lines += [f"| {arm} | {len(scores.seeds)} | {numbers} | {scores.returns.mean():.1f} |"]
     lines += ["", "| claim | verdict | difference of the last evaluation (95 %) |", "|---|---|---|"]
     margin = MARGIN * float(np.diff(range_of_returns(options))[0])
-    for text, arm, other in CLAIMS:
+    for text, arm, other in comparisons(options.replays):
         if {arm, other} <= set(found):
             last, base = (last_evaluation(found[name]) for name in (arm, other))
             verdict = judge(Claim(text, "ours", "final", arm, other, margin=margin), last, base)
@@ -238,7 +207,7 @@ def options_of(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=5, help="seeds of each arm")
     parser.add_argument("--block", type=int, default=5, help="seeds of a unit")
     parser.add_argument("--choose", action="store_true", help="run seeds on which settings may be chosen")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))
+    parser.add_argument("--arms", nargs="+", metavar="ARM", help="by default all of the algorithm")
     parser.add_argument("--plans", default="", help="plans; the ready-made ones of the task by default")
     parser.add_argument("--embedding", default="", help="embedding; the ready-made one by default")
     parser.add_argument("--file", type=Path, default=FILE, help="where rows are added")
@@ -246,8 +215,11 @@ def options_of(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--table", action="store_true", help="only print the table and the claims")
     parser.add_argument("--verbose", action="store_true", help="show the progress of each unit")
     options = parser.parse_args(arguments)
-    if not getattr(find_algorithm(options.algo, options.preset), "replays", False):
-        options.arms = [arm for arm in options.arms if "replay" not in ARMS[arm].settings]
+    options.replays = getattr(find_algorithm(options.algo, options.preset), "replays", False)
+    options.ways = ways(options.replays)
+    options.arms = options.arms or list(options.ways)
+    if unknown := [arm for arm in options.arms if arm not in options.ways]:
+        parser.error(f"{options.algo} has no arm {unknown[0]!r}: choose from {', '.join(options.ways)}")
     options.plans, options.embedding = options.plans or options.task, options.embedding or options.task
     return options
 

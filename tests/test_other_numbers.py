@@ -97,10 +97,10 @@ def test_table_of_ways_to_use_plans() -> None:
             for row in rows
             if (row["arm"], row["step"], row["settings"]) == (arm, "15000", uses.unit_name(options))
         ]
-        for arm in ("none", "replay")
+        for arm in ("no plans", "replay")
     }
-    assert len(at_half["none"]) == len(at_half["replay"]) == 10
-    least, most = min(at_half["replay"]), max(at_half["none"])
+    assert len(at_half["no plans"]) == len(at_half["replay"]) == 10
+    least, most = min(at_half["replay"]), max(at_half["no plans"])
     for page in ("README.md", "docs/faq.md", "docs/training.md"):
         text = (RESULTS.parent / page).read_text()
         assert f" {least:.0f} " in text and f" {most:.0f}" in text

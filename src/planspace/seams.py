@@ -171,7 +171,8 @@ def _fields(given: Any) -> tuple[Field[Any], ...]:
     return fields(given) if is_dataclass(given) else ()
 
 
-def _is_unset(f: Field[Any], owner: Any) -> bool:
+def is_unset(f: Field[Any], owner: Any) -> bool:
+    """Whether a field has the value at which it is left out; see `unset_if`."""
     return "unset" in f.metadata and getattr(owner, f.name) == f.metadata["unset"]
 
 
@@ -185,7 +186,7 @@ def plain_settings(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if is_dataclass(value) and not isinstance(value, type):
-        given = {f.name: getattr(value, f.name) for f in fields(value) if not _is_unset(f, value)}
+        given = {f.name: getattr(value, f.name) for f in fields(value) if not is_unset(f, value)}
         own = {name: plain_settings(item) for name, item in given.items()}
         return _identity(value) | own
     if isinstance(value, Mapping):

@@ -10,7 +10,7 @@ from planspace.cli import main
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "which study? Choose one of paper, controls, demos, shaping, recipe."),
+        ([], 2, "which study? Choose one of paper, controls, demos, shaping, recipe, uses."),
         (["controle"], 2, "unknown study 'controle'. Did you mean 'controls'? Known:"),
         (["paper", "--budget", "ful"], 2, "unknown budget 'ful'. Did you mean 'full'? Known:"),
         (["paper", "--seeds", "7"], 2, "`--seeds` must be a positive multiple of 5, got 7."),

@@ -17,16 +17,18 @@ def uses(benchmarks: None) -> Any:
 
 def test_every_arm_is_a_valid_setting_and_every_claim_is_about_arms(uses: Any) -> None:
     options = uses.options_of(["acrobot-swingup", "--steps", "9000"])
-    for use in uses.ARMS.values():
+    for use in options.ways.values():
         config = uses.settings_of(use, options, 300, 5)
         check_uses_of_plans(config)
-        assert config.needs_embedding == bool(use.encoder) and list(config.seeds) == [*range(300, 305)]
-    assert {name for _, *pair in uses.CLAIMS for name in pair} <= set(uses.ARMS)
-    assert not set(options.arms) - set(uses.ARMS)
+        assert config.needs_embedding == bool(use.objective) and list(config.seeds) == [*range(300, 305)]
+    assert options.arms == list(options.ways)
 
 
 def test_an_algorithm_without_a_replay_buffer_has_no_arms_that_replay(uses: Any) -> None:
-    assert uses.options_of(["acrobot-swingup", "--algo", "trpo"]).arms == ["none", "resets", "guide"]
+    arms = uses.options_of(["acrobot-swingup", "--algo", "trpo"]).arms
+    assert "resets + z" in arms and "replay" not in arms
+    with pytest.raises(SystemExit):
+        uses.options_of(["acrobot-swingup", "--algo", "trpo", "--arms", "replay"])
     with pytest.raises(UsageError, match="unknown algorithm"):
         uses.options_of(["acrobot-swingup", "--algo", "td4"])
 
@@ -35,7 +37,7 @@ def test_finished_units_are_kept_and_claims_follow_from_the_rows(
     uses: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("dm_control", reason="needs the extra robots")
-    level, calls = {"none": 0.0, "resets": 300.0, "replay": 10.0}, []
+    level, calls = {"no plans": 0.0, "resets": 300.0, "replay": 10.0}, []
 
     def run_unit(arm: str, seeds: range, options: Any) -> list[dict[str, str]]:
         calls.append((arm, seeds[0]))

@@ -40,6 +40,8 @@ ARMS = (
     arm(f"z {EVIL}", replace(BASE, z="augment"), FITS),
     arm("sparse", replace(BASE, reward="sparse")),
 )
+SECOND = tuple(replace(unit, fits=(replace(FITS[0], seed=5),)) for unit in ARMS[1].units)
+"""Units with another embedding of the same demonstrations."""
 STUDY = Study(
     "pretend",
     "half",
@@ -150,6 +152,25 @@ def test_the_answer_says_when_seeds_decide_nothing(page: Path) -> None:
     sentences = answer(replace(summary, claims=nothing))
     assert sentences[1] == "These seeds are too few to decide any of the 2 claims."
     assert sentences[2].endswith("is open: 10 seeds give no interval.")
+
+
+def test_a_part_of_a_study_can_be_read_from_its_table(page: Path, tmp_path: Path) -> None:
+    """The demonstrations of the arm that is shown stand in the rows of another arm."""
+    shared = replace(STUDY, arms=(ARMS[1], replace(ARMS[1], label="second", units=SECOND)), claims=())
+    rng = np.random.default_rng(0)
+    open_results(tmp_path)
+    (tmp_path / "units").mkdir()
+    for unit in shared.units:
+        head = {"schema": SCHEMA, "kind": f"{unit.kind} of a study", "unit": unit.spec}
+        found = {"found": fake_result(unit, rng), "seconds": 1.0, "cores": 1, "resumed": False}
+        write_sealed(result_file(unit, tmp_path), {**head, **found})
+    write_report(read_findings(shared, tmp_path), tmp_path)
+    (tmp_path / "units").rename(tmp_path / "gone")
+    part = shared.only(["second"])
+    summary = summarise(read_findings(shared, tmp_path).of(part))
+    assert [row.demos for row in summary.embeddings] == [20]
+    assert (summary.units_done, summary.units_all) == (4, 4)
+    assert [row.seeds for rows in summary.panels.values() for row in rows] == [10]
 
 
 @pytest.fixture(scope="module")

@@ -25,19 +25,19 @@ class Study:
     name: Positional[Annotated[str, arg(metavar="NAME", help_behavior_hint="(required)")]] = ""
     """paper: the paper's experiments and claims. controls: why an embedding helps. demos: what demonstrations
     an embedding needs. shaping: whether distance in z works as a shaping reward. recipe: how reliably the
-    swing-up is learned."""
+    swing-up is learned. uses: which ways to use plans in training help."""
     task: Positional[
         Annotated[str, arg(metavar="[TASK]", help_behavior_hint="(default: the study's own)")]
     ] = ""
-    """For recipe and controls: another task. The name of a shipped task or planning problem; FILE.yaml, your
-    own problem file; or module.py:NAME, your own Task."""
+    """For recipe, controls and uses: another task. The name of a shipped task or planning problem; FILE.yaml,
+    your own problem file; or module.py:NAME, your own Task."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/studies")
     """Folder of the results: DIR/NAME-BUDGET/report.html (for another task DIR/NAME-TASK-HASH-BUDGET), and
     DIR/units with the result of each unit. Studies with the same DIR share their common units. The same
     command resumes an interrupted study."""
     budget: Annotated[str, arg(metavar="{smoke,half,full,paper}")] = "half"
     """Environment steps per seed. smoke: a few minutes in all, to see that it works. half: 1 M. full: 2 M.
-    paper: 8 M, as in 2020."""
+    paper: 8 M, as in 2020. SAC, in uses, takes a tenth of them."""
     workers: Annotated[int, arg(metavar="N")] = 0
     """Worker processes, at most one per core; 0 uses every core. The result does not depend on this
     number."""
@@ -120,7 +120,9 @@ class Study:
         elif not self.report:
             failed = self._run(selected, self.out)
         text = "".join(f" {line}." for line in failures(failed, study))
-        findings = read_findings(selected if self.report else study, self.out)
+        findings = read_findings(study, self.out)
+        if self.report:
+            findings = findings.of(selected)
         if findings.scores or not failed:
             summary, page = write_report(findings, self.out)
             print(f"{as_text(summary)}\n\nreport           {page}")

@@ -27,7 +27,7 @@ from planspace.plan.pipeline import MAX_ATTEMPTS
 from planspace.plan.planner import Failure, check_problem
 from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
-from planspace.plan.workers import check_workers, plan_all
+from planspace.plan.workers import Planned, check_workers, plan_all
 from planspace.progress import progress, progress_shown
 from planspace.seams import name_of, plain_settings
 from planspace.storage.checks import reject_malformed
@@ -40,6 +40,8 @@ from planspace.tasks.problem_file import load_problem
 SHARD_EPISODES = 10
 """Plans per shard. A kill loses those since the last shard, Ctrl-C those after the first unfinished plan."""
 LOG = "log.jsonl"
+STEPS = "simulated_steps"
+"""What the log calls the physics steps that planning took, of all simulations, failed attempts included."""
 TREE_SETTINGS = ("keep_trees", "tree_nodes")
 
 
@@ -210,21 +212,24 @@ def _plan_missing(
     return folder
 
 
-def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Episode | Failure]) -> None:
+def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Planned]) -> None:
     """Save plans as they are made; after an error or Ctrl-C, those that are finished."""
-    batch, failures, solved, next_index = [], [], 0, remaining.start
+    batch, failures, steps, solved, next_index = [], [], [], 0, remaining.start
 
     def save() -> None:
         row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
+        row[STEPS] = sum(steps)
         append_rows(folder.path / LOG, [row], key="planned")  # before the shard, so that no row is missing
         folder.append(batch, next_index)
         batch.clear()
         failures.clear()
+        steps.clear()
 
     began = time.monotonic()
     with progress("plan", remaining.stop, done=remaining.start, unit="plan") as bar:
         try:
-            for i, plan in zip(remaining, plans, strict=True):
+            for i, (plan, plan_steps) in zip(remaining, plans, strict=True):
+                steps.append(plan_steps)
                 if isinstance(plan, Episode):
                     batch.append(plan)
                     solved += 1
@@ -246,6 +251,17 @@ def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Episode | Fail
 def _failure_row(index: int, failure: Failure) -> dict[str, Any]:
     nearest = failure.nearest if np.isfinite(failure.nearest) else None
     return {"plan": index, "nearest": nearest, "reason": failure.reason}
+
+
+def simulated_steps(folder: Path) -> int | None:
+    """The physics steps that the plans of a folder took; None if planned by a version that did not count.
+
+    Raises:
+        PlanspaceError: the log is missing or damaged.
+    """
+    with reject_malformed(folder / LOG):
+        rows = read_rows(folder / LOG)
+        return sum(row[STEPS] for row in rows) if all(STEPS in row for row in rows) else None
 
 
 def _report_failures(folder: DemoFolder) -> str:

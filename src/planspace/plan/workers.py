@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Generator
 from functools import lru_cache
+from typing import NamedTuple
 
 from planspace.demos.episode import Episode
 from planspace.errors import PlanspaceError, UsageError
@@ -16,9 +17,17 @@ from planspace.workers import WORKER_ENVIRONMENT, WorkerDied, WorkerPool, count_
 ADVICE = f"Put the planner in a module of its own, or plan with workers=0. See {PAGE}."
 
 
+class Planned(NamedTuple):
+    """A plan, or why there is none, and what it took."""
+
+    found: Episode | Failure
+    simulated_steps: int
+    """Physics steps of all simulations: of searching, polishing and proving, failed attempts included."""
+
+
 def plan_all(
     problem: Problem, config: PlanConfig, seed: int, indices: range, workers: int | None
-) -> Generator[Episode | Failure, None, None]:
+) -> Generator[Planned, None, None]:
     """Plan demonstrations and yield them in order.
 
     Args:
@@ -31,7 +40,7 @@ def plan_all(
     if workers == 0:
         pipeline = Pipeline(problem, config)
         for i in indices:
-            yield pipeline.plan(seed, i)
+            yield _plan(pipeline, seed, i)
         return
     packed = _pack(problem, config)
     workers = min(workers or count_cores(), len(indices))
@@ -68,9 +77,16 @@ def _pack(problem: Problem, config: PlanConfig) -> bytes:
         ) from error
 
 
-def _plan_packed(packed: bytes, seed: int, index: int) -> Episode | Failure:
+def _plan_packed(packed: bytes, seed: int, index: int) -> Planned:
     """Plan one demonstration in a worker."""
-    return _pipeline(packed).plan(seed, index)
+    return _plan(_pipeline(packed), seed, index)
+
+
+def _plan(pipeline: Pipeline, seed: int, index: int) -> Planned:
+    """Plan one demonstration, and count the simulated steps."""
+    before = pipeline.simulator.steps_taken
+    found = pipeline.plan(seed, index)
+    return Planned(found, pipeline.simulator.steps_taken - before)
 
 
 @lru_cache(maxsize=2)

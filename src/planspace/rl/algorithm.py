@@ -52,8 +52,8 @@ class Algorithm(Protocol):
     in `arm.plan_transitions`. While `arm.clone_weight` is above 0, its update adds the mean squared error of
     the mean action with this weight to the policy's loss. Training refuses `clone` and `clone_weight` for any
     other algorithm.
-    The class attributes `batch_steps` and `steps_a_second` give the default steps of an iteration and the
-    speed from which studies estimate durations.
+    The attributes `batch_steps` and `steps_a_second` give the default steps of an iteration and the speed
+    from which studies estimate durations.
     """
 
     def init(self, arm: Arm, *, key: Key) -> Any:

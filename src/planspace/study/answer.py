@@ -21,7 +21,7 @@ def answer(summary: StudySummary) -> list[str]:
     rows = [row for panel in summary.panels.values() for row in panel]
     seeds = _span([row.seeds for row in rows])
     sentences = [
-        f"{sum(row.seeds for row in rows)} policies were trained for {summary.steps:,} steps each: "
+        f"{sum(row.seeds for row in rows)} policies were trained for {summary.steps_text} steps each: "
         f"{_counted(len(rows), 'arm')} with {_counted_span(seeds, 'seed')} each, in "
         f"{_counted(len(summary.panels), 'comparison')}."
     ]

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from planspace.control.config import ControlConfig
 from planspace.embed.config import FitConfig
 from planspace.errors import UsageError
 from planspace.rl.config import TrainConfig
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, PlansUnit, PolicyUnit, Unit
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem, shipped_problems
@@ -40,6 +41,8 @@ class Budget:
     """Searches per plan; None uses the planner's default."""
     fit_steps: int | None = None
     """Optimiser steps of an embedding; None uses the preset's."""
+    guide_episodes: int = 30
+    """Episodes of control that stand in for plans, those that missed the goal included."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,9 @@ class Study:
     """The folder of the report; by default `NAME-BUDGET`."""
     seeds: int = 0
     """Seeds per arm, as given; 0 if the study's own numbers are used."""
+    evaluated: bool = False
+    """Whether the study compares returns of evaluations, whose episodes all start as the task says, instead
+    of returns of training episodes, which may start at states of plans."""
 
     @property
     def command(self) -> str:
@@ -133,7 +139,8 @@ class Study:
     @property
     def units(self) -> tuple[Unit, ...]:
         """Every unit once, each after the units that it needs."""
-        return tuple({unit.name: unit for arm in self.arms for unit in _closure(arm.units)}.values())
+        units = [unit for arm in self.arms for unit in (*all_needs(arm.units), *arm.units)]
+        return tuple({unit.name: unit for unit in units}.values())
 
     def only(self, parts: Iterable[str]) -> "Study":
         """The study with only the arms whose names contain one of these texts, and the claims about them.
@@ -172,6 +179,7 @@ class Builder:
         config: TrainConfig,
         fits: Iterable[FitUnit] = (),
         seeds: int = 0,
+        demos: DemosUnit | None = None,
     ) -> Arm:
         """Make an arm, with one unit per block of seeds.
 
@@ -182,16 +190,17 @@ class Builder:
             config: settings of the arm. The budget sets steps and seeds.
             fits: the embeddings that provide z, used in turn.
             seeds: number of seeds; 0 uses the budget's number.
+            demos: the demonstrations that training uses, if the settings say that it uses some.
         """
         fits = tuple(fits)
         num = self.seeds or seeds or self.budget.seeds
         starts = range(self.seed, self.seed + num, BLOCK)
         blocks = ((start, min(BLOCK, self.seed + num - start)) for start in starts)
         configs = (replace(config, steps=self.budget.steps, seed=s, num_seeds=n) for s, n in blocks)
-        return Arm(panel, label, tuple(PolicyUnit(task, c, fits) for c in configs))
+        return Arm(panel, label, tuple(PolicyUnit(task, c, fits, demos) for c in configs))
 
-    def plans_for(self, given: str | Task) -> PlansUnit:
-        """Demonstrations to train a task's embeddings.
+    def plans_for(self, given: str | Task, num: int = 0) -> PlansUnit:
+        """Demonstrations to train a task's embeddings: `num`, or the budget's number if that is smaller.
 
         Raises:
             UsageError: the task has no planning problem.
@@ -203,7 +212,7 @@ class Builder:
                 f"task {task.name!r} has no planning problem, so a study cannot plan its demonstrations: set "
                 "its field `problem`."
             )
-        return self.plans(problem)
+        return self.plans(problem, num)
 
     def plans(self, problem: str | Path | Problem, num: int = 0, **settings: int | float) -> PlansUnit:
         """Demonstrations of a planning problem: `num`, or the budget's number if that is smaller."""
@@ -219,22 +228,27 @@ class Builder:
         steps = self.budget.fit_steps or config.steps
         return FitUnit(plans, replace(config, steps=steps), **seeds)
 
+    def guide(self, task: str | Task, fit: FitUnit, config: ControlConfig) -> GuideUnit:
+        """Episodes of control, by distance in the z of an embedding."""
+        return GuideUnit(task, fit, self.budget.guide_episodes, config)
+
     def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
         """Embeddings with different seeds, to use in turn."""
         num = min(num or self.budget.embeddings, self.budget.embeddings)
         return tuple(self.fit(plans, config, seed=seed) for seed in range(first, first + num))
 
 
-def _closure(units: Iterable[Unit]) -> Iterator[Unit]:
-    """The units and all units that they need, each after those that it needs."""
+def all_needs(units: Iterable[Unit]) -> Iterator[Unit]:
+    """All units that some units need, directly or not, each after those that it needs."""
     for unit in units:
-        yield from _closure(unit.needs)
-        yield unit
+        for need in unit.needs:
+            yield from all_needs([need])
+            yield need
 
 
-def better(panel: str, text: str, arm: str, other: str) -> Claim:
+def better(panel: str, text: str, arm: str, other: str, margin: float = 0.0) -> Claim:
     """The claim that the final return of an arm is higher than that of another arm of the same figure."""
-    return Claim(f"{panel}: {text}", "ours", "final", f"{panel}/{arm}", f"{panel}/{other}")
+    return Claim(f"{panel}: {text}", "ours", "final", f"{panel}/{arm}", f"{panel}/{other}", margin=margin)
 
 
 def panel_of(task: str | Task, algo: str) -> str:

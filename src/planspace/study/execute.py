@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from planspace.control.plant import Plant
+from planspace.control.runs import DEMOS, control_into
 from planspace.demos.dataset import Demos
 from planspace.demos.load import load_demos
 from planspace.embed.embedding import Embedding
@@ -26,7 +28,7 @@ from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.figures.projection import principal_components
 from planspace.plan.config import PlanConfig
-from planspace.plan.demonstrations import plan_into
+from planspace.plan.demonstrations import plan_into, simulated_steps
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.rl.training import train_policies
@@ -48,7 +50,7 @@ from planspace.study.results import (
     result_from_json,
 )
 from planspace.study.stick_figure import stick_film
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, PlansUnit, PolicyUnit, Unit
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem import Problem
 from planspace.tasks.problem_file import load_problem
@@ -103,7 +105,7 @@ def read_result_file(file: Path, kind: str) -> UnitResult:
 
     Args:
         file: `DIR/units/NAME.json`.
-        kind: the kind of unit: `plans`, `fit` or `policies`.
+        kind: the kind of unit: `plans`, `fit`, `guide` or `policies`.
 
     Raises:
         PlanspaceError: the file is damaged, or was written by a newer planspace.
@@ -174,7 +176,36 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
         median_duration_s=float(np.median(demos.times[demos.offsets[1:] - 1])),
         reached=_fraction_at_goal(demos, problem),
         hash=demos.hash,
+        simulated_steps=simulated_steps(folder) if unit.source == "plan" else None,
     )
+
+
+def _run_guide(unit: GuideUnit, folder: Path, out: Path) -> PlansResult:
+    embedding, plans = load_embedding(folder_of(unit.fit, out)), load_demos(folder_of(unit.fit.plans, out))
+    summary = control_into(
+        Plant.find(unit.task),
+        embedding,
+        unit.config,
+        folder,
+        num=unit.num,
+        seed=unit.seed,
+        workers=0,
+        plans=plans,
+    )
+    if not summary.success:
+        raise PlanspaceError(f"control of {unit.problem_name} held the goal in none of {unit.num} episodes.")
+    demos = load_demos(_demos_folder(unit, out))
+    return PlansResult(
+        count=len(demos),
+        median_duration_s=float(np.median(demos.times[demos.offsets[1:] - 1])),
+        reached=len(demos) / unit.num,
+        hash=demos.hash,
+    )
+
+
+def _demos_folder(unit: DemosUnit, out: Path) -> Path:
+    """The dataset in the folder of a unit."""
+    return folder_of(unit, out) / DEMOS if isinstance(unit, GuideUnit) else folder_of(unit, out)
 
 
 def _fraction_at_goal(demos: Demos, problem: Problem) -> float:
@@ -211,7 +242,8 @@ def _run_fit(unit: FitUnit, folder: Path, out: Path) -> FitResult:
 def _run_policies(unit: PolicyUnit, folder: Path, out: Path) -> PoliciesResult:
     embeddings = [load_embedding(folder_of(fit, out)) for fit in unit.fits]
     task = find_task(unit.task)
-    history = train_policies(task, unit.config, embedding=embeddings, out=folder).history
+    plans = None if unit.demos is None else load_demos(_demos_folder(unit.demos, out))
+    history = train_policies(task, unit.config, embedding=embeddings, plans=plans, out=folder).history
     returns, steps = history["return"], history["steps"]
     every = ITERATIONS_PER_ROW if len(returns) >= MIN_ITERATIONS else 1
     stops = [*range(every, len(returns), every), len(returns)]
@@ -268,5 +300,6 @@ def _round_all(numbers: Any, decimals: int) -> Any:
 _RUN: dict[str, Callable[[Any, Path, Path], Found]] = {
     PlansUnit.kind: _run_plans,
     FitUnit.kind: _run_fit,
+    GuideUnit.kind: _run_guide,
     PolicyUnit.kind: _run_policies,
 }

@@ -5,13 +5,13 @@ They are read from the units (`DIR/units`) or, if that folder is missing, from t
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 from planspace.study.design import Arm, Study
 from planspace.study.results import FitResult, Found, PlansResult, PoliciesResult, UnitResult
 from planspace.study.stats import Scores
-from planspace.study.unit import FitUnit, PlansUnit, PolicyUnit, Unit
+from planspace.study.unit import DemosUnit, FitUnit, PolicyUnit, Unit
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,16 @@ class Findings:
     versions: Mapping[str, str]
     """Versions of planspace and its libraries that the units were run with."""
 
+    def of(self, study: Study) -> "Findings":
+        """The findings of a study that has some of the arms of this one."""
+        arms, units = ({x.name for x in part} for part in (study.arms, study.units))
+        return replace(
+            self,
+            study=study,
+            results={name: result for name, result in self.results.items() if name in units},
+            scores={name: scores for name, scores in self.scores.items() if name in arms},
+        )
+
     def panels(self) -> dict[str, list[Arm]]:
         """The arms with scores, by figure."""
         panels: dict[str, list[Arm]] = {}
@@ -38,8 +48,8 @@ class Findings:
         """Whether a unit is finished."""
         return unit.name in self.results
 
-    def plans(self, unit: PlansUnit) -> PlansResult:
-        """The result of a finished planning unit."""
+    def demos(self, unit: DemosUnit) -> PlansResult:
+        """The result of a finished unit that makes demonstrations."""
         return cast(PlansResult, self._found(unit))
 
     def fit(self, unit: FitUnit) -> FitResult:

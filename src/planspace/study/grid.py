@@ -11,12 +11,15 @@ from planspace.study.design import BLOCK, Budget, Builder, Study
 from planspace.study.paper import paper
 from planspace.study.recipe import recipe
 from planspace.study.shaping import shaping
+from planspace.study.uses import uses
 from planspace.tasks.catalog import find_task
 from planspace.tasks.stored_task import task_content
 from planspace.tasks.task import Task
 
 BUDGETS: dict[str, Budget] = {
-    "smoke": Budget(steps=12_000, seeds=2, plans=12, embeddings=2, restarts=1, fit_steps=300),
+    "smoke": Budget(
+        steps=12_000, seeds=2, plans=12, embeddings=2, restarts=1, fit_steps=300, guide_episodes=3
+    ),
     "half": Budget(steps=1_000_000),
     "full": Budget(steps=2_000_000),
     "paper": Budget(steps=8_000_000),
@@ -29,8 +32,9 @@ STUDIES: dict[str, Callable[[str, Builder], Study]] = {
     "demos": demos,
     "shaping": shaping,
     "recipe": recipe,
+    "uses": uses,
 }
-ANY_TASK = ("recipe", "controls")
+ANY_TASK = ("recipe", "controls", "uses")
 """The studies that can be run on any task with a planning problem."""
 
 

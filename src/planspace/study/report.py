@@ -159,7 +159,8 @@ def _panel(findings: Findings, name: str, arms: list[Arm], summary: StudySummary
     curves = {arm.label: _curve(findings, arm) for arm in arms}
     reached = {arm.label: stats.final(findings.scores[arm.name]) for arm in arms}
     profiles, rows = _profiles(reached), summary.panels[name]
-    title = f"{name}: {_seeds(rows)} seeds of {summary.steps / 1e6:g} M steps"
+    steps = arms[0].units[0].config.steps
+    title = f"{name}: {_seeds(rows)} seeds of {steps / 1e6:g} M steps"
     save_figure(plot_curves(curves, title), figures, slug(name))
     save_figure(plot_reached(reached, rows, title), figures, f"{slug(name)}-reached")
     save_figure(plot_profiles(profiles, title), figures, f"{slug(name)}-profile")

@@ -14,15 +14,18 @@ Paths = Sequence[Sequence[Sequence[float]]]
 
 @dataclass(frozen=True)
 class PlansResult:
-    """The result of planning: facts about the demonstrations."""
+    """The result of planning, or of control that makes demonstrations: facts about them."""
 
     count: int
     """Number of demonstrations."""
     median_duration_s: float
     reached: float
-    """Fraction of demonstrations that end within the tolerance of their goal."""
+    """Fraction of plans that end within the tolerance of their goal, or of episodes that control held
+    there."""
     hash: str = ""
     """Hash of the dataset's content."""
+    simulated_steps: int | None = field(default=None, compare=False)
+    """Physics steps that the planner took, over all simulations; None if not counted."""
 
 
 @dataclass(frozen=True)
@@ -101,14 +104,19 @@ class UnitResult:
         return self.seconds * self.cores
 
 
-_TYPES: dict[str, type[Found]] = {"plans": PlansResult, "fit": FitResult, "policies": PoliciesResult}
+_TYPES: dict[str, type[Found]] = {
+    "plans": PlansResult,
+    "guide": PlansResult,
+    "fit": FitResult,
+    "policies": PoliciesResult,
+}
 
 
 def result_from_json(kind: str, data: Mapping[str, Any]) -> UnitResult:
     """Read the result of a unit.
 
     Args:
-        kind: `plans`, `fit` or `policies`.
+        kind: `plans`, `fit`, `guide` or `policies`.
         data: the JSON object.
     """
     found: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data["found"].items()}

@@ -8,7 +8,7 @@ that several shards make must have the same result in each.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from planspace.storage.json_files import json_hash, read_description, read_json,
 from planspace.storage.runs import lock_folder
 from planspace.storage.settings import list_differences
 from planspace.study.cluster import files_in, write_files
-from planspace.study.design import Study
+from planspace.study.design import Study, all_needs
 from planspace.study.execute import VERSIONS, folder_of, has_folder, is_done, read_result, result_file
 from planspace.study.run import open_results
 from planspace.study.summary import folder_of_study
@@ -86,7 +86,7 @@ def divide(study: Study, count: int) -> list[Study]:
             f"study {study.name} cannot be divided into {count} shards: it has only {len(units)} units of "
             "policies."
         )
-    needs = {name: tuple(need.name for need in _needs(unit)) for name, unit in units.items()}
+    needs = {name: tuple(need.name for need in all_needs([unit])) for name, unit in units.items()}
     names = sorted(units, key=lambda name: (not needs[name], needs[name], name))  # without needs: at the end
     pieces = [{name, *needs[name]} for name in names]
     costs = {unit.name: unit.cost for unit in study.units}
@@ -122,13 +122,6 @@ def _part(study: Study, names: set[str]) -> Study:
     units = [tuple(unit for unit in arm.units if unit.name in names) for arm in study.arms]
     arms = (replace(arm, units=own) for arm, own in zip(study.arms, units, strict=True) if own)
     return replace(study, arms=tuple(arms))
-
-
-def _needs(unit: Unit) -> Iterator[Unit]:
-    """All units that a unit needs, directly or not."""
-    for need in unit.needs:
-        yield from _needs(need)
-        yield need
 
 
 def open_shard(study: Study, shard: Shard, out: Path) -> Path:

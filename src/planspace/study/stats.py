@@ -66,8 +66,8 @@ class Scores:
     """Given if `returns` has fewer rows than the training."""
 
     @classmethod
-    def of(cls, arm: Arm, found: Sequence[PoliciesResult]) -> "Scores":
-        """Join the blocks of an arm, in the order of their seeds.
+    def of(cls, arm: Arm, found: Sequence[PoliciesResult], *, evaluated: bool = False) -> "Scores":
+        """Join the blocks of an arm, in the order of their seeds. `evaluated`: rows are evaluations.
 
         Raises:
             PlanspaceError: two blocks have different numbers of steps, or contain the same seed.
@@ -78,10 +78,11 @@ class Scores:
             raise PlanspaceError(f"the blocks of {arm.name} do not fit together.")
         last = [result.eval_returns[-1] if result.eval_returns else [] for result in found]
         evaluation = np.array([np.nan if x is None else x for block in last for x in block], dtype=float)
+        rows = [result.eval_returns if evaluated else result.returns for result in found]
         return cls(
             seeds,
-            np.array(found[0].steps),
-            np.concatenate([np.array(result.returns, dtype=float) for result in found], axis=1),
+            np.array(found[0].eval_steps if evaluated else found[0].steps),
+            np.concatenate([np.array(block, dtype=float) for block in rows], axis=1),
             arm.num_embeddings,
             tuple(x for result in found for x in result.frozen),
             evaluation if len(evaluation) == len(seeds) else None,

@@ -1,5 +1,6 @@
 """Compute the tables of a study from its results."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from planspace.seams import name_of
 from planspace.storage.checks import CONFIG
 from planspace.storage.json_files import read_json
 from planspace.study import stats
-from planspace.study.design import SPREADS, Arm, Claim, Study, solved_level
+from planspace.study.design import SPREADS, Arm, Claim, Study, all_needs, solved_level
 from planspace.study.eta import Timings
 from planspace.study.execute import is_done, read_result
 from planspace.study.findings import Findings, named_fits
@@ -18,6 +19,7 @@ from planspace.study.tables import (
     NOT_RUN,
     ArmRow,
     ClaimRow,
+    CostRow,
     EmbeddingRow,
     Estimate,
     OverTasksRow,
@@ -26,7 +28,7 @@ from planspace.study.tables import (
     Time,
 )
 from planspace.study.tidy import FILE, read_tidy
-from planspace.study.unit import FitUnit, PlansUnit
+from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, PlansUnit, Unit
 from planspace.tasks.catalog import find_task
 
 ABOUT = "study.json"
@@ -57,18 +59,21 @@ def read_findings(study: Study, out: Path) -> Findings:
     scores = {}
     for arm in study.arms:
         if found := [findings.policies(unit) for unit in arm.units if findings.done(unit)]:
-            scores[arm.name] = Scores.of(arm, found)
+            scores[arm.name] = Scores.of(arm, found, evaluated=study.evaluated)
     return replace(findings, scores=scores)
 
 
 def summarise(findings: Findings) -> StudySummary:
     """Compute the tables of a study."""
     study = findings.study
-    plans = [unit for unit in study.units if isinstance(unit, PlansUnit) and findings.done(unit)]
+    demos = [x for x in study.units if isinstance(x, PlansUnit | GuideUnit) and findings.done(x)]
+    steps = [arm.units[0].config.steps for arm in study.arms]
     return StudySummary(
         study=study.name,
         budget=study.budget,
-        steps=study.arms[0].units[0].config.steps,
+        steps=max(steps),
+        least_steps=min(steps),
+        evaluated=study.evaluated,
         question=study.question,
         units_done=len(findings.results),
         units_all=len(study.units),
@@ -78,7 +83,8 @@ def summarise(findings: Findings) -> StudySummary:
         over_tasks=_over_tasks(findings),
         claims=[_claim(findings, claim) for claim in study.claims],
         embeddings=[_embedding(findings, name, unit) for name, unit in named_fits(findings).items()],
-        plans=[_plans(findings, unit) for unit in plans],
+        plans=[_demos(findings, unit) for unit in demos],
+        costs=[_cost(findings, arm) for arms in findings.panels().values() for arm in arms],
         time=_time(findings),
     )
 
@@ -116,8 +122,7 @@ def _over_tasks(findings: Findings) -> list[OverTasksRow]:
     found: dict[tuple[str, str], dict[str, np.ndarray]] = {}
     for arm in findings.study.arms:
         unit = arm.units[0]
-        levels = find_task(unit.task).return_range
-        if arm.name in findings.scores and unit.config.reward == "dense" and levels is not None:
+        if arm.name in findings.scores and (levels := _levels(arm)) is not None:
             low, high = levels
             normalised = (stats.final(findings.scores[arm.name]) - low) / (high - low)
             found.setdefault((name_of(unit.config.algorithm).upper(), arm.label), {})[arm.task] = normalised
@@ -127,6 +132,13 @@ def _over_tasks(findings: Findings) -> list[OverTasksRow]:
             rows.append(OverTasksRow(algo, label, len(samples), *stats.iqm_over_tasks([*samples.values()])))
     counts = {row.algo: sum(other.algo == row.algo for other in rows) for row in rows}
     return [row for row in rows if counts[row.algo] > 1]  # a single arm cannot be compared
+
+
+def _levels(arm: Arm) -> tuple[float, float] | None:
+    """Returns that count as 0 and 1 in averages over tasks; None if the task has none."""
+    unit = arm.units[0]
+    task = find_task(unit.task)
+    return {"dense": task.return_range, "sparse": (0.0, float(task.horizon))}.get(unit.config.reward)
 
 
 def _ratio(scores: Scores, base: Scores) -> Estimate | None:
@@ -193,12 +205,12 @@ def _planned(arm: Arm) -> int:
 
 def _embedding(findings: Findings, name: str, unit: FitUnit) -> EmbeddingRow:
     found = findings.fit(unit)
-    count = findings.plans(unit.plans).count
+    count = findings.demos(unit.plans).count
     return EmbeddingRow(name, count, unit.config.z_dim, found.seed, found.metrics)
 
 
-def _plans(findings: Findings, unit: PlansUnit) -> PlansRow:
-    found = findings.plans(unit)
+def _demos(findings: Findings, unit: DemosUnit) -> PlansRow:
+    found = findings.demos(unit)
     return PlansRow(
         problem=unit.problem_name,
         source=unit.source,
@@ -206,7 +218,39 @@ def _plans(findings: Findings, unit: PlansUnit) -> PlansRow:
         count=found.count,
         reached=found.reached,
         median_duration_s=found.median_duration_s,
+        simulated_steps=found.simulated_steps,
     )
+
+
+def _cost(findings: Findings, arm: Arm) -> CostRow:
+    """What an arm takes: its policies, and the units that it needs."""
+    needs = {unit.name: unit for unit in all_needs(arm.units)}
+    timed = [unit for unit in arm.units if _core_seconds(findings, [unit]) is not None]
+    spent, seeds = _core_seconds(findings, timed) or 0.0, sum(unit.config.num_seeds for unit in timed)
+    return CostRow(
+        panel=arm.panel,
+        arm=arm.label,
+        steps=arm.units[0].config.steps,
+        seed_core_seconds=spent / seeds if seeds else None,
+        needs_core_seconds=_core_seconds(findings, needs.values()),
+        simulated_steps=_simulated_steps(findings, needs.values()),
+    )
+
+
+def _core_seconds(findings: Findings, units: Iterable[Unit]) -> float | None:
+    """The time of some units; None if one of them was not timed."""
+    found = [findings.results.get(unit.name) for unit in units]
+    timed = [result.core_seconds for result in found if result is not None and not result.resumed]
+    return sum(timed) if len(timed) == len(found) else None
+
+
+def _simulated_steps(findings: Findings, units: Iterable[Unit]) -> int | None:
+    """The physics steps of the plans among some units; None if they were not counted."""
+    plans = [unit for unit in units if isinstance(unit, PlansUnit)]
+    if not all(findings.done(unit) for unit in plans):
+        return None
+    counts = [findings.demos(unit).simulated_steps for unit in plans]
+    return None if None in counts else sum(count or 0 for count in counts)
 
 
 def _time(findings: Findings) -> Time:

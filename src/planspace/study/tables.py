@@ -99,6 +99,24 @@ class PlansRow:
     count: int
     reached: float
     median_duration_s: float
+    simulated_steps: int | None
+    """Physics steps that the planner took; None for other demonstrations, or if not counted."""
+
+
+@dataclass(frozen=True)
+class CostRow:
+    """What an arm takes."""
+
+    panel: str
+    arm: str
+    steps: int
+    """Environment steps per seed."""
+    seed_core_seconds: float | None
+    """Core seconds per seed of training policies; None if not timed."""
+    needs_core_seconds: float | None
+    """Core seconds of demonstrations and embeddings, which other arms may share; None if not timed."""
+    simulated_steps: int | None
+    """Physics steps of the planner; None if not counted."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +138,11 @@ class StudySummary:
     study: str
     budget: str
     steps: int
+    """Environment steps per seed, the largest number of any arm."""
+    least_steps: int
+    """The smallest number."""
+    evaluated: bool
+    """Whether returns are those of evaluations."""
     question: str
     units_done: int
     units_all: int
@@ -129,7 +152,20 @@ class StudySummary:
     claims: list[ClaimRow]
     embeddings: list[EmbeddingRow]
     plans: list[PlansRow]
+    costs: list[CostRow]
     time: Time
+
+    @property
+    def steps_text(self) -> str:
+        """Environment steps per seed: 1,000,000, or 100,000 to 1,000,000."""
+        low, high = (f"{steps:,}" for steps in (self.least_steps, self.steps))
+        return high if low == high else f"{low} to {high}"
+
+
+def _final_text(summary: StudySummary) -> str:
+    if summary.evaluated:
+        return "return of the last evaluations"
+    return f"return over the last {stats.FINAL_STEPS // BATCH_STEPS} iterations"
 
 
 def as_text(summary: StudySummary) -> str:
@@ -138,7 +174,7 @@ def as_text(summary: StudySummary) -> str:
         f"study {summary.study}, budget {summary.budget}: {summary.units_done} of {summary.units_all} units"
     ]
     for panel, rows in summary.panels.items():
-        head = f"{panel}: return over the last {stats.FINAL_STEPS // BATCH_STEPS} iterations"
+        head = f"{panel}: {_final_text(summary)}"
         lines += ["", f"{head:<64}{'mean':>9}{'95 % interval':>20}{'worst':>9}{'best':>9}{'seeds':>7}"]
         for row in rows:
             low, high = row.mean_interval

@@ -6,14 +6,15 @@ Cells that do not apply are empty. The tables, claims and curves of a study can 
 
 | metric | columns used | value |
 |---|---|---|
-| `return` | seed, step | mean return since the previous row's step |
+| `return` | seed, step | mean return since the previous row's step, or of evaluations in some studies |
 | `final_return`, `early_return`, `whole_return` | seed | mean return: end, first quarter, all |
 | `steps_to_solved` | seed | environment steps until the task is solved; no row if never |
 | `evaluation_return` | seed | mean return of the last evaluation |
 | `diverged` | seed | 1; no row if the seed did not diverge |
 | `training_path_error`, `training_bound` | seed, embedding, step | during the training of the embedding |
 | `straightness`, ... | seed, embedding | geometry on test demonstrations; the seed is the selected one |
-| `plans_count`, `plans_reached`, `plans_median_duration_s` | embedding | its demonstrations |
+| `plans_count`, `plans_reached`, `plans_median_duration_s`, `plans_simulated_steps` | embedding | \
+its demonstrations; without an embedding those that the policies use |
 | `..._core_seconds` | | time of a unit: of plans, of an embedding, of policies of five seeds |
 """
 
@@ -34,7 +35,7 @@ from planspace.study.design import Arm, Study, solved_level
 from planspace.study.findings import Findings
 from planspace.study.results import FitResult, PlansResult, PoliciesResult, UnitResult
 from planspace.study.stats import Reached, Scores
-from planspace.study.unit import FitUnit, PlansUnit, Unit
+from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, Unit
 
 FILE = "results.csv"
 POINTS = 25
@@ -43,7 +44,7 @@ LOG_POINTS = 20
 """Number of points of a stored training curve of an embedding. Each is a mean of neighbouring rows."""
 PLANS_TIME, FIT_TIME, POLICIES_TIME = "plans_core_seconds", "embedding_core_seconds", "policies_core_seconds"
 TRAINING = {"path_error": "training_path_error", "bound": "training_bound"}
-PLANS_METRICS = ("count", "reached", "median_duration_s")
+PLANS_METRICS = ("count", "reached", "median_duration_s", "simulated_steps")
 
 
 class Row(NamedTuple):
@@ -147,11 +148,18 @@ def _rows(findings: Findings, points: Mapping[str, int]) -> Iterator[Row]:
                 yield from _time_rows(head, findings, unit)
 
 
-def _needs(arm: Arm) -> Iterator[tuple[str, int, PlansUnit | FitUnit]]:
-    """The units that an arm's policies need: metric of the time, index of the embedding, unit."""
-    for index, fit in enumerate(arm.units[0].fits):
+def _needs(arm: Arm) -> Iterator[tuple[str, int | None, DemosUnit | FitUnit]]:
+    """The units that an arm's policies need: metric of the time, index of the embedding, unit.
+
+    The embedding of a guide follows those of z. Demonstrations that the policies use have no index.
+    """
+    unit = arm.units[0]
+    guides = (unit.demos.fit,) if isinstance(unit.demos, GuideUnit) else ()
+    for index, fit in enumerate((*unit.fits, *guides)):
         yield PLANS_TIME, index, fit.plans
         yield FIT_TIME, index, fit
+    if unit.demos is not None:
+        yield PLANS_TIME, None, unit.demos
 
 
 def _policy_rows(study: str, arm: Arm, scores: Scores, points: int) -> Iterator[Row]:
@@ -205,10 +213,11 @@ def _fit_rows(head: Row, findings: Findings, unit: FitUnit) -> Iterator[Row]:
                     yield row._replace(value=round(float(value), 5))
 
 
-def _plans_rows(head: Row, findings: Findings, unit: PlansUnit) -> Iterator[Row]:
-    found = findings.plans(unit)
+def _plans_rows(head: Row, findings: Findings, unit: DemosUnit) -> Iterator[Row]:
+    found = findings.demos(unit)
     for name in PLANS_METRICS:
-        yield head._replace(metric=f"plans_{name}", value=getattr(found, name))
+        if (value := getattr(found, name)) is not None:
+            yield head._replace(metric=f"plans_{name}", value=value)
 
 
 def _time_rows(head: Row, findings: Findings, unit: Unit) -> Iterator[Row]:
@@ -304,8 +313,13 @@ def _plans_result(rows: Sequence[Row]) -> PlansResult | None:
     found = {row.metric: row.value for row in rows if row.metric.startswith("plans_")}
     if "plans_count" not in found:
         return None
-    count, reached, duration = (found[f"plans_{name}"] for name in PLANS_METRICS)
-    return PlansResult(count=int(count), reached=reached, median_duration_s=duration)
+    steps = found.get("plans_simulated_steps")
+    return PlansResult(
+        count=int(found["plans_count"]),
+        reached=found["plans_reached"],
+        median_duration_s=found["plans_median_duration_s"],
+        simulated_steps=None if steps is None else int(steps),
+    )
 
 
 def _whole(text: str) -> int | None:

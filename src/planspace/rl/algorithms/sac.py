@@ -17,8 +17,6 @@ class SAC:
 
     name: ClassVar[str] = "sac"
     clones: ClassVar[bool] = True
-    steps_a_second: ClassVar[float] = 100
-    """Environment steps that one core trains in a second, roughly."""
     replays: ClassVar[bool] = True
     batch_steps: ClassVar[int] = 1000
     """Environment steps per iteration, unless the settings of the run give another number."""
@@ -50,6 +48,12 @@ class SAC:
     target_entropy: float | None = None
     """Entropy of the policy to which the temperature is adjusted [nat]; by default, minus the numbers in an
     action."""
+
+    @property
+    def steps_a_second(self) -> float:
+        """Environment steps that one core trains in a second, roughly."""
+        width = max(1, *self.hidden, *self.critic_hidden)
+        return 100 * (256 / width) ** 1.4 / max(self.updates_per_step, 0.1)
 
     def __post_init__(self) -> None:
         """Check the ranges.
