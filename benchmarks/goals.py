@@ -29,10 +29,8 @@ from csv_rows import Row, has_row, make_parser, parse, read_rows, write_rows
 
 import planspace as ps
 from planspace.plan.config import PlanConfig
-from planspace.rl import training
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.config import TrainConfig
-from planspace.rl.rollout import Rollout
 from planspace.seams import with_settings
 from planspace.tasks.problem_file import load_problem
 
@@ -60,7 +58,6 @@ def main() -> None:
     parser.add_argument("--reward", default="dense", choices=("dense", "sparse"))
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=list(ARMS))
     options, rows = parse(parser, RESULTS, table)
-    training.first_returns = last_successes
     for arm in options.arms:
         key = {"task": TASK, "algorithm": options.algo, "reward": options.reward, "arm": arm}
         if has_row(rows, key):
@@ -70,11 +67,6 @@ def main() -> None:
         rows += [key | row for row in found]
         write_rows(RESULTS, COLUMNS, rows)
         print(options.algo, options.reward, arm, found[-1], flush=True)
-
-
-def last_successes(rollout: Rollout) -> np.ndarray:
-    """Fraction of each seed's environments at the goal at the end, where alone the reward is positive."""
-    return (rollout.rewards[-1] > 0).mean(axis=1)
 
 
 def run_unit(options: argparse.Namespace, arm: str) -> list[Row]:
@@ -98,7 +90,7 @@ def run_unit(options: argparse.Namespace, arm: str) -> list[Row]:
         {
             "seed": str(SEED + i),
             "step": str(int(step)),
-            "success": f"{run.history['eval_return'][row, i]:.3f}",
+            "success": f"{run.history['eval_success'][row, i]:.3f}",
         }
         for i in range(NUM_SEEDS)
         for row, step in enumerate(run.history["eval_steps"])

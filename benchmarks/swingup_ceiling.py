@@ -23,8 +23,9 @@ from planspace.plan.planner import Failure
 from planspace.plan.regulator import Regulator
 from planspace.progress import progress
 from planspace.rl.config import BATCH_STEPS
+from planspace.rl.evaluation import EVALUATION_SEED
 from planspace.rl.saved_policy import Policy, load_policy
-from planspace.rl.training import EVALUATION_SEED, num_episodes
+from planspace.rl.training import num_episodes
 from planspace.tasks.catalog import find_task
 from planspace.tasks.problem_file import load_problem
 

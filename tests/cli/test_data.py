@@ -32,7 +32,8 @@ def test_from_plan_to_training(capsys: pytest.CaptureFixture[str], tmp_path: Pat
     train = ["train", "cartpole-swingup", "--obs", "trig", "--z", "augment", "--embedding", embedding]
     code, out, err = call(capsys, *train, "--seeds", 2, "--steps", 4001, "--out", run)
     assert code == 0 and "--steps 4001 is rounded up to 8000, for whole iterations" in err
-    assert "return, last iteration  mean " in out and "return, evaluation      mean " in out
+    for name in ("return, last iteration", "return, evaluation", "% at the goal, evaluation"):
+        assert f"{name:<27}mean " in out
     assert (run / "curve.svg").exists()
     assert call(capsys, "curves", run, run, "--out", tmp_path / "curves")[0] == 0
     assert (tmp_path / "curves" / "curves.png").exists()

@@ -16,6 +16,7 @@ from planspace.envs.episodes import TaskEpisodes
 from planspace.rl import training
 from planspace.rl.arm import Arm
 from planspace.rl.config import BATCH_STEPS, TrainConfig
+from planspace.rl.evaluation import Evaluation, evaluate
 from planspace.rl.observe import Observer
 from planspace.rl.training import train_policies
 from planspace.storage.arrays import read_arrays_and_metadata
@@ -79,7 +80,7 @@ def test_evaluations_do_not_change_training() -> None:
     assert np.isfinite(often["eval_return"]).all()
     never = train_policies(TASK, replace(config, eval_every=0)).history
     assert never["eval_steps"].tolist() == [5 * BATCH_STEPS]
-    for key in often.keys() - {"eval_steps", "eval_return"}:
+    for key in often.keys() - {"eval_steps", "eval_return", "eval_success"}:
         np.testing.assert_array_equal(often[key], never[key])
     np.testing.assert_array_equal(often["eval_return"][-1], never["eval_return"][-1])
 
@@ -122,7 +123,52 @@ def test_an_evaluation_ignores_exploration_and_is_the_same_for_every_seed() -> N
 def test_an_evaluation_that_is_not_finite_is_saved_as_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "first_returns", lambda rollout: np.array([np.nan, -3.0]))
+    found = Evaluation(np.array([np.nan, -3.0]), np.array([0.0, 0.5]))
+    monkeypatch.setattr(training, "evaluate", lambda *_: found)
     train_policies(TASK, replace(CONFIG, steps=1), out=tmp_path / "run")
     policy = load_policy(tmp_path / "run")
     assert policy.about["returns"] == [None, -3.0] and policy.seed == 1
+
+
+def test_success_is_the_fraction_of_first_episodes_that_end_at_the_goal() -> None:
+    """Idle: the pole falls in some episodes, whose environments then begin other ones."""
+    task = TASKS["cartpole"]
+    observer, num = Observer(task, "raw", "none", "both", num_seeds=2), 10
+    episodes = TaskEpisodes(task, 2 * num)
+    idle = lambda obs, noise: np.zeros_like(noise)  # noqa: E731
+    found = evaluate(episodes, observer, idle, 2)
+    assert found.success is not None
+    assert found.success.tolist() == [0.0, 0.0] and (found.returns < 100).all()
+    anywhere = replace(task, at_goal=lambda states, target: states[:, 0] > 0, terminated=fallen_or_right)
+    ends = evaluate(
+        TaskEpisodes(anywhere, 2 * num), Observer(anywhere, "raw", "none", "both", num_seeds=2), idle, 2
+    )
+    assert ends.success is not None
+    assert 0 < ends.success[0] < 1 and ends.success[0] == ends.success[1]
+
+
+def fallen_or_right(states: np.ndarray) -> np.ndarray:
+    return np.abs(states[:, 1]) > 0.2
+
+
+def test_a_run_that_was_begun_without_success_continues_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "CHECKPOINT_EVERY", 1)
+    iterate = training._iterate
+
+    def interrupted(*args: Any) -> Any:
+        if args[-1] == 2:
+            raise KeyboardInterrupt
+        return iterate(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "EVALUATED", ("eval_return",))  # as a version without success began it
+        patch.setattr(training, "_iterate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            train_policies(TASK, CONFIG, out=tmp_path / "run")
+    continued = train_policies(TASK, CONFIG, out=tmp_path / "run").history
+    whole = train_policies(TASK, CONFIG).history
+    assert "eval_success" not in continued and whole["eval_success"].shape == (1, 2)
+    for name in whole.keys() - {"eval_success"}:
+        np.testing.assert_array_equal(whole[name], continued[name])

@@ -18,6 +18,7 @@ from planspace.envs.episodes import Episodes, GymEpisodes, TaskEpisodes, make_ep
 from planspace.errors import PlanspaceError, UsageError
 from planspace.rl import training
 from planspace.rl.config import TrainConfig
+from planspace.rl.evaluation import EVALUATION_SEED
 from planspace.rl.observe import Observer
 from planspace.rl.play import make_env, play
 from planspace.rl.rollout import collect
@@ -196,9 +197,10 @@ def test_a_run_records_its_environment_and_its_policies_play(tmp_path: Path) -> 
 def test_evaluation_returns_are_those_of_play(tmp_path: Path) -> None:
     task = GymTask("tiny/Puck-v0", {"push": 2.0})
     trained = train_policies(task, replace(CONFIG, num_seeds=1, batch_steps=20), out=tmp_path / "run")
-    seed = np.random.default_rng(training.EVALUATION_SEED).integers(2**31)
+    seed = np.random.default_rng(EVALUATION_SEED).integers(2**31)
     returns, _ = play(trained.policy(), 1, int(seed))
     np.testing.assert_allclose(returns[0], trained.history["eval_return"][-1, 0], rtol=1e-5)
+    assert "eval_success" not in trained.history  # the environment does not say what its goal is
 
 
 def test_the_command_line_trains_plays_and_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

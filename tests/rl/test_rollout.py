@@ -5,7 +5,7 @@ from planspace.envs.episodes import TaskEpisodes
 from planspace.errors import UsageError
 from planspace.rl.config import BATCH_STEPS
 from planspace.rl.observe import Observer
-from planspace.rl.rollout import Rollout, collect, episode_returns, first_returns
+from planspace.rl.rollout import Rollout, collect, episode_returns, first_episodes
 from planspace.rl.training import num_episodes
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.task import Task
@@ -51,7 +51,7 @@ def test_returns_are_means_over_ended_episodes() -> None:
 def test_an_evaluation_uses_the_first_episode_of_each_environment() -> None:
     rollout = roll(TASKS["cartpole"], 4, [0, 1], 100)
     ends = [[np.flatnonzero(rollout.terminated[:, s, e])[0] + 1 for e in range(4)] for s in range(2)]
-    np.testing.assert_array_equal(first_returns(rollout), np.mean(ends, axis=1))  # each step has reward 1
+    np.testing.assert_array_equal(first_episodes(rollout).sum(axis=0), ends)
 
 
 def test_actions_of_another_shape_are_refused() -> None:

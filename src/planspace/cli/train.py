@@ -136,8 +136,10 @@ class Train:
         from planspace.rl.learning_curve import learning_curve
 
         history = trained.history
-        for name, returns in (("last iteration", history["return"]), ("evaluation", history["eval_return"])):
-            last = returns[-1]
-            spread = f"worst {last.min():8.1f}   best {last.max():8.1f}"
-            print(f"return, {name:<16}mean {last.mean():8.1f}   {spread}")
+        rows = {"return, last iteration": history["return"], "return, evaluation": history["eval_return"]}
+        if "eval_success" in history:
+            rows["% at the goal, evaluation"] = 100 * history["eval_success"]
+        for name, numbers in rows.items():
+            last = numbers[-1]
+            print(f"{name:<27}mean {last.mean():8.1f}   worst {last.min():8.1f}   best {last.max():8.1f}")
         print(save_figure(plot_curves({out.name: learning_curve(history)}, trained.task), out, "curve"))

@@ -16,6 +16,9 @@ COMMON = ("return", "length", "frozen")
 and whether the seed is frozen; see `episode_returns`. An algorithm adds its own numbers."""
 EVALUATION = "eval_return"
 """Mean return of deterministic episodes at each of `TrainConfig.evaluations`."""
+SUCCESS = "eval_success"
+"""Fraction of these episodes that ended at the goal. Gymnasium environments do not have it, nor do runs that
+were begun by a version without it."""
 LARGEST = 1e100
 """Larger returns are rejected, because their squares overflow."""
 
@@ -69,6 +72,8 @@ def _check(history: Arrays, shape: tuple[int, ...]) -> None:
     iterations, seeds = shape
     evaluations = len(history["eval_steps"])
     wanted = {"steps": (iterations,), "eval_steps": (evaluations,), EVALUATION: (evaluations, seeds)}
+    if SUCCESS in history:
+        wanted[SUCCESS] = (evaluations, seeds)
     wanted |= dict.fromkeys({*COMMON, *history} - wanted.keys(), shape)
     for name, size in wanted.items():
         array, kind = history[name], "i" if name in ("steps", "eval_steps") else "f"

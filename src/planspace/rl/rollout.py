@@ -136,8 +136,7 @@ def episode_returns(rollout: Rollout) -> tuple[Float[np.ndarray, " seed"], Float
     return returns, lengths
 
 
-def first_returns(rollout: Rollout) -> Float[np.ndarray, " seed"]:
-    """Mean undiscounted return of the first episode of each environment, for each seed."""
+def first_episodes(rollout: Rollout) -> Bool[np.ndarray, "time *seed env"]:
+    """Whether each step belongs to the first episode of its environment."""
     ended = rollout.terminated | rollout.timeout | rollout.cut
-    over = np.cumsum(ended, axis=0) - ended > 0  # an episode ended before this step
-    return np.where(over, 0.0, rollout.rewards).sum(axis=0).mean(axis=1)
+    return np.cumsum(ended, axis=0) - ended == 0

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planspace.rl.config import TrainConfig
-from planspace.rl.history import EVALUATION
+from planspace.rl.history import EVALUATION, SUCCESS
 from planspace.rl.saved_policy import Policy, load_policy
 from planspace.seams import name_of
 from planspace.storage.arrays import Arrays
@@ -37,6 +37,8 @@ class SeedReturns(NamedTuple):
     """Mean return of the deterministic episodes after it."""
     diverged: bool
     """Whether its numbers ceased to be finite; it was then frozen with the policy it had."""
+    success: float | None = None
+    """Fraction of the deterministic episodes that ended at the goal; None for a Gymnasium environment."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,8 +50,8 @@ class TrainedPolicies:
     config: TrainConfig
     """The settings."""
     history: Arrays
-    """`steps` [iteration], `eval_steps` [evaluation] and `eval_return` [evaluation, seed]; as [iteration,
-    seed] `return` and `length` of the episodes, `frozen`, and the algorithm's own numbers."""
+    """`steps` [iteration]; `eval_steps` [evaluation], `eval_return` and `eval_success` [evaluation, seed]; as
+    [iteration, seed] `return` and `length` of the episodes, `frozen`, and the algorithm's own numbers."""
     run: Path
     """The run's folder; a temporary one if it was trained in memory."""
     temporary: TemporaryFolder | None = None
@@ -68,7 +70,9 @@ class TrainedPolicies:
         """What each seed earned at the end."""
         last, evaluation = self.history["return"][-1], self.history[EVALUATION][-1]
         frozen = self.history["frozen"][-1] > 0
-        rows = zip(self.config.seeds, last.tolist(), evaluation.tolist(), frozen.tolist(), strict=True)
+        success = self.history[SUCCESS][-1].tolist() if SUCCESS in self.history else [None] * len(last)
+        columns = (last.tolist(), evaluation.tolist(), frozen.tolist(), success)
+        rows = zip(self.config.seeds, *columns, strict=True)
         return [SeedReturns(*row) for row in rows]
 
     def __repr__(self) -> str:
@@ -79,10 +83,12 @@ class TrainedPolicies:
         """The returns of each seed as a table."""
         rows = "".join(
             f"<tr><td>{row.seed}</td><td>{row.last:.1f}</td><td>{row.evaluation:.1f}</td>"
+            f"<td>{'' if row.success is None else f'{row.success:.0%}'}</td>"
             f"<td>{'diverged' if row.diverged else ''}</td></tr>"
             for row in self.returns
         )
-        head = "<tr><th>seed</th><th>last iteration</th><th>evaluation</th><th></th></tr>"
+        names = ("seed", "last iteration", "evaluation", "ended at the goal", "")
+        head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
         return f"<b>{html.escape(self._title())}</b><table>{head}{rows}</table>"
 
     def _title(self) -> str:
@@ -98,5 +104,9 @@ class TrainedPolicies:
         ):
             spread = f"mean {np.mean(numbers):.1f}, worst {np.min(numbers):.1f}, best {np.max(numbers):.1f}"
             yield f"return, {name}: {spread}"
+        if SUCCESS in self.history:
+            numbers = self.history[SUCCESS][-1]
+            spread = f"mean {np.mean(numbers):.0%}, worst {np.min(numbers):.0%}, best {np.max(numbers):.0%}"
+            yield f"ended at the goal, evaluation: {spread}"
         if diverged := [str(row.seed) for row in self.returns if row.diverged]:
             yield f"diverged: seed {', '.join(diverged)}"

@@ -32,13 +32,23 @@ from planspace.rl.checks import (
     checked_update,
 )
 from planspace.rl.config import TrainConfig
+from planspace.rl.evaluation import evaluate
 from planspace.rl.export import export_policies
-from planspace.rl.history import COMMON, EVALUATION, HISTORY, finite_or_none, load_history, scalars, with_row
+from planspace.rl.history import (
+    COMMON,
+    EVALUATION,
+    HISTORY,
+    SUCCESS,
+    finite_or_none,
+    load_history,
+    scalars,
+    with_row,
+)
 from planspace.rl.observe import Observer
 from planspace.rl.plans import Plans
 from planspace.rl.policy_network import Actor, PolicyNetwork
 from planspace.rl.progress import Progress
-from planspace.rl.rollout import collect, episode_returns, first_returns
+from planspace.rl.rollout import episode_returns
 from planspace.rl.run_setup import as_embeddings, embedding_of_seeds, run_settings, with_algorithm
 from planspace.rl.saved_policy import DESCRIPTION
 from planspace.rl.shaping import Shaping
@@ -52,6 +62,7 @@ from planspace.tasks.action_repeat import repeat_actions, single_actions
 from planspace.tasks.gymnasium import AnyTask, find_training_task
 from planspace.tasks.observation_types import find_name
 from planspace.tasks.stored_task import save_task
+from planspace.tasks.task import Task
 from planspace.tasks.task_hash import with_todays_hash
 from planspace.workers import count_cores
 
@@ -59,8 +70,8 @@ CHECKPOINT_EVERY = 10
 """Iterations between checkpoints."""
 CLONE_STREAM = 2**31
 """Distinguishes the random key of cloning from those of iterations."""
-EVALUATION_SEED = 20_201_026
-"""Seed of the episodes of an evaluation: they start the same for every seed of every arm."""
+EVALUATED = (EVALUATION, SUCCESS)
+"""Numbers of the history that evaluations give."""
 
 
 class _State(NamedTuple):
@@ -75,7 +86,7 @@ class _State(NamedTuple):
     frozen: np.ndarray
     """Whether each seed has produced a number that is not finite. A frozen seed acts, but is not updated."""
     history: Arrays
-    """`COMMON` and the algorithm's own numbers [iteration, seed], and `EVALUATION` [evaluation, seed]; NaN
+    """`COMMON` and the algorithm's own numbers [iteration, seed], and `EVALUATED` [evaluation, seed]; NaN
     for iterations that have not run yet."""
 
 
@@ -175,7 +186,7 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
         training = _Training(arm, threads)
         state, first = _init(training), 0
         if (out / FILE).exists():
-            state = _with_numbers(training, state, _saved_names(out / FILE))
+            state = _with_numbers(training, *_as_saved(state, out / FILE))
             saved = load_checkpoint(out, state)
             assert saved is not None
             state, first = saved[0], saved[1]["iteration"]
@@ -195,8 +206,9 @@ def _train(arm: Arm, embeddings: tuple[Embedding, ...], out: Path, track: Sequen
 def _init(training: _Training) -> _State:
     arm, config = training.arm, training.arm.config
     agents = tuple(checked_state(training.algorithm.init(arm, key=jr.key(seed))) for seed in config.seeds)
-    evaluation = np.full((len(config.evaluations), config.num_seeds), np.nan)
-    state = _State(agents, np.zeros(config.num_seeds, bool), {EVALUATION: evaluation})
+    names = EVALUATED if isinstance(arm.task, Task) else (EVALUATION,)
+    room = {name: np.full((len(config.evaluations), config.num_seeds), np.nan) for name in names}
+    state = _State(agents, np.zeros(config.num_seeds, bool), room)
     return _with_numbers(training, state, COMMON)
 
 
@@ -255,9 +267,10 @@ def _run(training: _Training, state: _State, first: int, out: Path, track: Seque
 
 def _row(history: Arrays, config: TrainConfig, i: int) -> dict[str, list[float]]:
     """The numbers of one iteration, including those of an evaluation after it."""
-    row = {key: numbers[i].tolist() for key, numbers in history.items() if key != EVALUATION}
+    row = {key: numbers[i].tolist() for key, numbers in history.items() if key not in EVALUATED}
     if i + 1 in config.evaluations:
-        row[EVALUATION] = history[EVALUATION][config.evaluations.index(i + 1)].tolist()
+        number = config.evaluations.index(i + 1)
+        row |= {key: history[key][number].tolist() for key in EVALUATED if key in history}
     return row
 
 
@@ -294,38 +307,42 @@ def _iterate(training: _Training, state: _State, iteration: int) -> _State:
     row = {
         name: np.array([np.nan if numbers is None else numbers[name] for numbers in found])
         for name in state.history
-        if name not in (*COMMON, EVALUATION)
+        if name not in (*COMMON, *EVALUATED)
     }
     row["return"], row["length"] = episode_returns(rollout)
     row["frozen"] = frozen.astype(float)
     return _State(agents, frozen, with_row(state.history, row, iteration))
 
 
-def _saved_names(checkpoint: Path) -> list[str]:
-    """The numbers of each iteration and seed that a checkpoint holds."""
+def _as_saved(state: _State, checkpoint: Path) -> tuple[_State, list[str]]:
+    """The state with those numbers of evaluations that a checkpoint holds, and its other numbers' names."""
     matches = [re.fullmatch(r"\.history\['(\w+)'\]", name) for name in read_arrays(checkpoint)]
-    return [match[1] for match in matches if match is not None and match[1] != EVALUATION]
+    names = [match[1] for match in matches if match is not None]
+    kept = {name: numbers for name, numbers in state.history.items() if name in names}
+    return state._replace(history=kept), [name for name in names if name not in EVALUATED]
 
 
 def _with_new_numbers(training: _Training, state: _State, found: list[dict[str, float]]) -> _State:
     """Add the algorithm's own numbers to the history when they are first known; later check their names."""
-    known = tuple(name for name in state.history if name not in (*COMMON, EVALUATION))
+    known = tuple(name for name in state.history if name not in (*COMMON, *EVALUATED))
     if found and not known:
         known = tuple(found[0])
-        checked_names(found, known, (*COMMON, EVALUATION))
+        checked_names(found, known, (*COMMON, *EVALUATED))
         return _with_numbers(training, state, known)
-    checked_names(found, known, (*COMMON, EVALUATION))
+    checked_names(found, known, (*COMMON, *EVALUATED))
     return state
 
 
 def _evaluate(training: _Training, state: _State, number: int) -> _State:
     """Play an episode in each environment without exploration."""
     arm = training.arm
-    rngs = [np.random.default_rng(EVALUATION_SEED) for _ in arm.config.seeds]
     deterministic = [replace(network, log_std=None) for network in _networks(training, state)]
     actor = Actor(deterministic, arm.observer.policy_columns)
-    rollout = collect(own_starts(arm.episodes), arm.observer, actor, arm.task.horizon, rngs)
-    return state._replace(history=with_row(state.history, {EVALUATION: first_returns(rollout)}, number))
+    found = evaluate(own_starts(arm.episodes), arm.observer, actor, arm.config.num_seeds)
+    row = {EVALUATION: found.returns, SUCCESS: found.success}
+    return state._replace(
+        history=with_row(state.history, {name: row[name] for name in row if name in state.history}, number)
+    )
 
 
 def _networks(training: _Training, state: _State) -> list[PolicyNetwork]:
