@@ -4,12 +4,14 @@ import difflib
 import json
 import reprlib
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 MAX_LENGTH = 2500
 """Largest number of characters in a message; our own lists of names, such as a study's arms, are shorter."""
+MOST_UNITS = 16_384
+"""Largest number of units of a hidden layer. Two layers of them have a GB of weights."""
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel = 1  # a list inside a list is shown as [...]
 _SHORT.maxstring = _SHORT.maxother = 80
@@ -69,6 +71,21 @@ def check_setting(name: str, value: Any, fits: bool, wanted: str) -> None:
     """
     if not fits:
         raise UsageError(f"`{name}` must be {wanted}, got {quoted(value)}.")
+
+
+def check_layers(name: str, layers: Sequence[int]) -> None:
+    """Check the units of hidden layers.
+
+    Args:
+        name: the setting.
+        layers: units of each layer.
+
+    Raises:
+        UsageError: there is no layer, or one has no units or more than fit into memory.
+    """
+    if not layers or min(layers) < 1:
+        raise UsageError(f"hidden layers need at least one unit each, got {quoted(tuple(layers))}.")
+    check_setting(name, max(layers), max(layers) <= MOST_UNITS, f"at most {MOST_UNITS:,} units a layer")
 
 
 def unknown(kind: str, name: Any, known: Iterable[str]) -> UsageError:

@@ -8,6 +8,7 @@ import pytest
 
 from planspace.cli.config_files import given_option, read_config, with_settings
 from planspace.errors import PlanspaceError, UsageError
+from planspace.rl.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,12 @@ def test_wrong_settings_are_refused_with_file_and_name(settings: dict, message: 
     with pytest.raises(UsageError) as error:
         with_settings(Outer(), settings, "f.yaml")
     assert str(error.value).startswith(message)
+
+
+def test_a_file_may_call_a_setting_what_the_command_line_calls_it() -> None:
+    assert with_settings(TrainConfig(), {"seeds": 3}, "a.yaml").num_seeds == 3
+    with pytest.raises(UsageError, match=r"a.yaml: seeds and num_seeds are the same setting: give one"):
+        with_settings(TrainConfig(), {"num_seeds": 3, "seeds": 3}, "a.yaml")
 
 
 def test_a_file_that_is_no_mapping_is_refused(tmp_path: Path) -> None:

@@ -69,6 +69,15 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
         (["train", "cartpole", "--seed", "-1", "--out", "x"], "`seed` must be at least 0, got -1"),
         (["train", "cartpole", "--hidden", "0", "--out", "x"], "hidden layers need at least one unit each"),
+        (
+            ["train", "cartpole", "--hidden", "64", "9999999", "--out", "x"],
+            "`hidden` must be at most 16,384 units a layer, got 9999999.",
+        ),
+        (["embed", "x", "--hidden", "9999999"], "`hidden` must be at most 16,384 units a layer"),
+        (
+            ["control", "cartpole-swingup", "--horizon-s", "1e7", "--out", "x"],
+            "`horizon_s` must be at least one control step of 0.04 s and at most 10,000 (400 s), got 1e+07.",
+        ),
         (["play", "x", "--video", "x.txt"], "x.txt is not a film; give FILE.gif or FILE.mp4"),
         (["play", "x", "--video", "/no/x.gif"], "there is no folder /no: make it, or give another --video"),
         (["export", "e"], "Missing from planspace export: FILE"),
@@ -198,12 +207,39 @@ def test_repair_says_what_it_found(
     assert call(capsys, "demos", "validate", folder)[0] == 0
 
 
+@pytest.mark.parametrize(
+    "error", [MemoryError(), ValueError("std::bad_alloc"), RuntimeError("RESOURCE_EXHAUSTED: Out of memory")]
+)
 def test_too_little_memory_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> None:
-        raise MemoryError
+        raise error
 
     monkeypatch.setattr("planspace.cli.doctor.examine", full)
     assert main(["doctor"]) == 1
-    assert capsys.readouterr().err == "planspace: not enough memory for this command.\n"
+    shown = capsys.readouterr().err
+    assert shown.startswith("planspace: not enough memory for this command: try smaller numbers")
+    assert len(shown.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["curves", "runs/a", "--out", ""], "--out"),
+        (["plan", "cartpole-swingup", "--out="], "--out="),
+        (["embed", ""], "an argument"),
+        (["plan", "", "--num", "3"], "an argument"),
+    ],
+)
+def test_an_empty_argument_is_refused(
+    arguments: list[str],
+    what: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == f"planspace: {what} is empty. Is a variable of the shell not set?\n"
+    assert list(tmp_path.iterdir()) == []

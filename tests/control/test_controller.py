@@ -137,7 +137,7 @@ def test_goals_can_be_drawn() -> None:
     ("problem", "config", "says"),
     [
         ("pendulum", ControlConfig(), "cost z needs an embedding"),
-        ("pendulum", replace(BY_REWARD, horizon_s=0.01), "at least one control step of 0.04 s, got 0.01"),
+        ("pendulum", replace(BY_REWARD, horizon_s=0.01), "one control step of 0.04 s and at most 10,000"),
         ("reacher-trig", BY_REWARD, "draws a target that is not a state"),
         ("arm-kinematic", BY_REWARD, "is kinematic"),
         ("pendulun", BY_REWARD, "pendulum"),

@@ -192,7 +192,11 @@ def with_settings(
     """
     hints, known = get_type_hints(type(config)), {f.name: f for f in fields(config)}  # pyright: ignore
     changes: dict[str, Any] = {}
-    for key, value in settings.items():
+    other_names = _other_names(config)
+    for given, value in settings.items():
+        key = other_names.get(given, given)
+        if key in changes:
+            raise UsageError(f"{where}: {given} and {key} are the same setting: give one of them.")
         if key in ignored or (key in ("name", "source_sha256") and key not in known):
             continue
         if key not in known:
@@ -206,6 +210,15 @@ def with_settings(
         return replace(config, **changes)  # pyright: ignore[reportArgumentType]
     except (UsageError, ValueError) as error:
         raise UsageError(f"{where}: {error}") from error
+
+
+def _other_names(config: Any) -> dict[str, str]:
+    """The other names that options have on the command line, such as `seeds`, and their fields."""
+    names = {}
+    for name, hint in get_type_hints(type(config), include_extras=True).items():
+        for option in getattr(hint, "__metadata__", ()):
+            names |= {other.removeprefix("--"): name for other in getattr(option, "aliases", None) or ()}
+    return names
 
 
 def _converted(value: Any, hint: Any, where: str) -> Any:

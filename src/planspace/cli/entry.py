@@ -17,10 +17,12 @@ import tyro
 
 from planspace.cli.help_texts import set_help_texts
 from planspace.cli.interrupts import Interrupted, interruptible
-from planspace.errors import PlanspaceError, printable
+from planspace.errors import PlanspaceError, UsageError, printable
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 PROGRAM = "planspace"
+OUT_OF_MEMORY = ("std::bad_alloc", "RESOURCE_EXHAUSTED")
+"""What errors of MuJoCo and of JAX say when memory is exhausted."""
 DESCRIPTION = (
     "State embeddings in which demonstrated plans are straight lines. `planspace VERB --help` explains a "
     "verb. Every verb takes --debug, which shows the traceback of an error; --version prints the version."
@@ -94,15 +96,28 @@ def parse(arguments: Sequence[str]) -> Any:
 
     Raises:
         SystemExit: with 0 after `--help`, with 2 after wrong options, which tyro explains in a box.
-        UsageError: an option that decides the others, such as `--config`, is wrong.
+        UsageError: an option that decides the others, such as `--config`, is wrong, or an argument is empty.
     """
     if not arguments or arguments[0] not in VERBS:
         return _parse_with_tyro(_union_of_stubs(), arguments, PROGRAM, DESCRIPTION, None)
     verb, *rest = arguments
+    _check_not_empty(rest)
     module = importlib.import_module(f"planspace.cli.{verb}")
     kind = getattr(module, verb.capitalize())
     default = kind.default(rest) if hasattr(kind, "default") else None
     return _parse_with_tyro(kind, rest, f"{PROGRAM} {verb}", inspect.getdoc(kind) or "", default)
+
+
+def _check_not_empty(arguments: Sequence[str]) -> None:
+    """Refuse an empty argument: as a path it would mean the working directory.
+
+    Raises:
+        UsageError: there is one.
+    """
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if argument == "" or (argument.startswith("--") and argument.endswith("=")):
+            where = argument or (before if before.startswith("--") else "an argument")
+            raise UsageError(f"{where} is empty. Is a variable of the shell not set?")
 
 
 def _parse_with_tyro(kind: Any, arguments: Sequence[str], prog: str, description: str, default: Any) -> Any:
@@ -132,8 +147,8 @@ def _union_of_stubs() -> Any:
 def _message(error: Exception) -> str:
     if isinstance(error, PlanspaceError):
         return str(error)
-    if isinstance(error, MemoryError):
-        return "not enough memory for this command."
+    if isinstance(error, MemoryError) or any(sign in str(error) for sign in OUT_OF_MEMORY):
+        return "not enough memory for this command: try smaller numbers, for example of samples or seeds."
     return (
         f"unexpected {type(error).__name__}: {printable(' '.join(str(error).split()))} (--debug shows where)"
     )

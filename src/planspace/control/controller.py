@@ -27,6 +27,9 @@ from planspace.tasks.task import Task
 Act = Callable[[int, np.ndarray], np.ndarray]
 """(step, states [sample, state] after the steps before it) to controls [sample, control]."""
 
+MOST_STEPS = 10_000
+"""Largest number of control steps of a horizon."""
+
 
 class Controller:
     """Receding-horizon control: `controller(state)` is the control for the next control step.
@@ -165,9 +168,10 @@ class Controller:
         config, step = self.config, self.plant.control_step
         self.num_steps = round(config.horizon_s / step)
         """Control steps of the horizon."""
-        if self.num_steps < 1:
+        if not 1 <= self.num_steps <= MOST_STEPS:
             raise UsageError(
-                f"`horizon_s` must be at least one control step of {step:g} s, got {config.horizon_s:g}."
+                f"`horizon_s` must be at least one control step of {step:g} s and at most {MOST_STEPS:,} "
+                f"({MOST_STEPS * step:g} s), got {config.horizon_s:g}."
             )
         last = (self.num_steps - 1) * step
         times = step * np.arange(self.num_steps)

@@ -12,7 +12,7 @@ from planspace.embed.objective import PAGE, Objective, as_objective
 from planspace.embed.objectives import OBJECTIVES
 from planspace.embed.objectives.variational import Variational
 from planspace.embed.time_head import TIME_INPUTS, TimeInput
-from planspace.errors import UsageError, check_setting, unknown
+from planspace.errors import UsageError, check_layers, check_setting, unknown
 from planspace.seams import with_settings
 
 PresetName = Literal["modern", "paper"]
@@ -79,11 +79,12 @@ class FitConfig:
             ("z_dim", (self.z_dim,)),
             ("steps", (self.steps,)),
             ("batch", (self.batch,)),
-            ("hidden", self.hidden),
             ("spacings", self.spacings),
         ):
             for value in values:
                 check_setting(name, value, value >= 1, "at least 1")
+        if self.hidden:
+            check_layers("hidden", self.hidden)
         for name in ("sigma_floor", "z_std"):
             value = getattr(self, name)
             check_setting(name, value, 0 <= value < math.inf, "at least 0 and finite")
@@ -158,8 +159,10 @@ class TimeHeadConfig:
             UsageError: one is out of its range; the message names it.
         """
         counts = (("features", self.features), ("steps", self.steps), ("batch", self.batch))
-        for name, value in (*counts, *(("hidden", units) for units in self.hidden)):
+        for name, value in counts:
             check_setting(f"time_{name}", value, value >= 1, "at least 1")
+        if self.hidden:
+            check_layers("time_hidden", self.hidden)
         for name in ("learning_rate", "slack", "farthest", "softness"):
             value = getattr(self, name)
             check_setting(f"time_{name}", value, 0 < value < math.inf, "above 0 and finite")

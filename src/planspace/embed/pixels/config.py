@@ -6,7 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from tyro.conf import arg
 
-from planspace.errors import UsageError, check_setting
+from planspace.errors import UsageError, check_layers, check_setting
 from planspace.physics.pictures import PictureConfig
 
 Target = Literal["z", "state", "random"]
@@ -48,8 +48,9 @@ class ImageFitConfig:
         """Check the numbers."""
         if self.target not in TARGETS:
             raise UsageError(f"`target` must be one of {', '.join(TARGETS)}, got {self.target!r}.")
-        for name in ("stacks", "hidden", "steps", "batch"):
+        for name in ("stacks", "steps", "batch"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")
+        check_layers("hidden", (self.hidden,))
         for name in ("noisy_fraction", "start_fraction"):
             check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "from 0 to 1")
         check_setting("noise", self.noise, 0 <= self.noise < math.inf, "at least 0 and finite")

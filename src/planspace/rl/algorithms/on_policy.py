@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from planspace.errors import UsageError, check_setting, unknown
+from planspace.errors import check_layers, check_setting, unknown
 from planspace.seams import unset_if
 
 CriticName = Literal["linear", "mlp"]
@@ -49,9 +49,8 @@ class OnPolicy:
         """
         if self.critic not in get_args(CriticName):
             raise unknown("critic", self.critic, get_args(CriticName))
-        for layers in (self.hidden, self.critic_hidden):
-            if not layers or min(layers) < 1:
-                raise UsageError(f"hidden layers need at least one unit each, got {layers}.")
+        check_layers("hidden", self.hidden)
+        check_layers("critic_hidden", self.critic_hidden)
         for name in ("discount", "gae_lambda"):
             check_setting(name, getattr(self, name), 0 <= getattr(self, name) <= 1, "between 0 and 1")
         for name in ("match_z", "entropy_reward"):

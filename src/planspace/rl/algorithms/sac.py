@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from planspace.errors import UsageError, check_setting
+from planspace.errors import check_layers, check_setting
 from planspace.rl.algorithm import Arm, Key, PolicyNetwork, Rollout
 
 
@@ -61,9 +61,8 @@ class SAC:
         Raises:
             UsageError: a hyper-parameter is out of its range.
         """
-        for layers in (self.hidden, self.critic_hidden):
-            if not layers or min(layers) < 1:
-                raise UsageError(f"hidden layers need at least one unit each, got {layers}.")
+        check_layers("hidden", self.hidden)
+        check_layers("critic_hidden", self.critic_hidden)
         check_setting("discount", self.discount, 0 <= self.discount <= 1, "between 0 and 1")
         check_setting("polyak", self.polyak, 0 < self.polyak <= 1, "above 0 and at most 1")
         for name in ("learning_rate", "temperature", "updates_per_step"):
