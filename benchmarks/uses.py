@@ -5,10 +5,12 @@
         --steps 200000 --action-repeat 2 --seeds 5
     python benchmarks/uses.py acrobot-swingup --table
 
-The study `planspace study uses` makes the same comparison on four tasks, from nothing. This program takes any
-plans and embedding, such as those of a task whose plans take long.
+The study `planspace study uses` has the same arms on four tasks and plans by itself. This program takes any
+plans and embedding, for example of a task whose plans take long. Its guide does not follow plans, and its
+claims are about the last evaluation.
 
-Grid, claims and their margin are fixed before seeds are run. Seeds from 300 decide the claims;
+Grid, claims and their margin are fixed before seeds are run, except for the arms with cloning and with a
+shuffled encoder and the claims about them, which were added later. Seeds from 300 decide the claims;
 `--choose` runs seeds from 400 instead, on which settings may be chosen, and whose rows no claim reads. A unit
 is a few seeds of an arm. Its rows are added to results/rl/uses.csv when it is finished, and then it is not
 run again; an interrupted unit continues from its checkpoint in runs/uses. The guide is the plan-space

@@ -81,10 +81,10 @@ def check_layers(name: str, layers: Sequence[int]) -> None:
         layers: units of each layer.
 
     Raises:
-        UsageError: there is no layer, or one has no units or more than fit into memory.
+        UsageError: there is no layer, or one has no units or more than `MOST_UNITS`.
     """
     if not layers or min(layers) < 1:
-        raise UsageError(f"hidden layers need at least one unit each, got {quoted(tuple(layers))}.")
+        raise UsageError(f"`{name}` needs at least one unit in each layer, got {quoted(tuple(layers))}.")
     check_setting(name, max(layers), max(layers) <= MOST_UNITS, f"at most {MOST_UNITS:,} units a layer")
 
 

@@ -68,7 +68,10 @@ def test_help_says_what_each_option_is(verb: list[str], capsys: pytest.CaptureFi
         (["curves", "--out", "x"], "which runs? Give the folders that `planspace train` made"),
         (["train", "cartpole", "--z-to", "critic", "--out", "x"], "z_to is 'critic', but there is no z"),
         (["train", "cartpole", "--seed", "-1", "--out", "x"], "`seed` must be at least 0, got -1"),
-        (["train", "cartpole", "--hidden", "0", "--out", "x"], "hidden layers need at least one unit each"),
+        (
+            ["train", "cartpole", "--hidden", "0", "--out", "x"],
+            "`hidden` needs at least one unit in each layer",
+        ),
         (
             ["train", "cartpole", "--hidden", "64", "9999999", "--out", "x"],
             "`hidden` must be at most 16,384 units a layer, got 9999999.",
@@ -227,7 +230,7 @@ def test_too_little_memory_is_one_line(
     ("arguments", "what"),
     [
         (["curves", "runs/a", "--out", ""], "--out"),
-        (["plan", "cartpole-swingup", "--out="], "--out="),
+        (["plan", "cartpole-swingup", "--out="], "--out"),
         (["embed", ""], "an argument"),
         (["plan", "", "--num", "3"], "an argument"),
     ],
@@ -243,3 +246,9 @@ def test_an_empty_argument_is_refused(
     assert main(arguments) == 2
     assert capsys.readouterr().err == f"planspace: {what} is empty. Is a variable of the shell not set?\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_value_may_end_with_an_equals_sign(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demos", "validate", "no-such=folder="]) == 2
+    assert main(["curves", "--out=a="]) == 2
+    assert "is empty" not in capsys.readouterr().err

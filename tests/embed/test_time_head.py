@@ -206,7 +206,7 @@ def test_the_rest_of_the_embedding_does_not_change(
     ("wrong", "message"),
     [
         ({"steps": 0}, "`time_steps` must be at least 1, got 0"),
-        ({"hidden": (0,)}, "hidden layers need at least one unit each, got (0,)"),
+        ({"hidden": (0,)}, "`time_hidden` needs at least one unit in each layer, got (0,)"),
         ({"slack": 0.0}, "`time_slack` must be above 0 and finite, got 0.0"),
         ({"plan_weight": -1.0}, "`time_plan_weight` must be at least 0 and finite, got -1.0"),
     ],

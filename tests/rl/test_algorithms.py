@@ -78,7 +78,7 @@ def test_settings_of_version_0_1_0_are_read() -> None:
         (("ppo", "modern"), {"minibatch": 0}, "`minibatch` must be at least 1, got 0."),
         (("sac", "paper"), {"polyak": 0.0}, "`polyak` must be above 0 and at most 1, got 0.0."),
         (("sac", "paper"), {"learning_starts": -1}, "`learning_starts` must be at least 0, got -1."),
-        (("sac", "paper"), {"hidden": ()}, "hidden layers need at least one unit each, got ()."),
+        (("sac", "paper"), {"hidden": ()}, "`hidden` needs at least one unit in each layer, got ()."),
         (("sac", "modern"), {"updates_per_step": 0.0}, "`updates_per_step` must be above 0 and finite"),
     ],
 )

@@ -108,7 +108,7 @@ def test_the_command_runs_every_arm_and_reports(
     folder = tmp_path / "out" / study.folder
     for file in ("report.html", "tables.md"):
         text = (folder / file).read_text()
-        assert "The task has no return above which it counts as solved" in text
+        assert "There is no return above which the task counts as solved" in text
         assert "half had solved it" not in text and "planspace study recipe crane.yaml --budget smoke" in text
     result = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out" / "units").iterdir()}
     assert main(command) == 0  # nothing is run again

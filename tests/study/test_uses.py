@@ -30,7 +30,7 @@ from planspace.study.uses import GUIDE, NO_PLANS, Use, comparisons, ways
 from ..tiny_study import FIT, PLANS, RAW, policy
 
 TASK = "cartpole-swingup"
-GUIDE_UNIT = GuideUnit(TASK, FIT, 2, ControlConfig(horizon_s=0.16, samples=16, follow_s=3.0))
+GUIDE_UNIT = GuideUnit(TASK, PLANS, FIT, 2, ControlConfig(horizon_s=0.16, samples=16, follow_s=3.0))
 
 
 def test_every_arm_is_a_valid_setting_with_the_units_that_it_needs() -> None:
@@ -41,7 +41,7 @@ def test_every_arm_is_a_valid_setting_with_the_units_that_it_needs() -> None:
         assert isinstance(unit.demos, GuideUnit) == (arm.label == GUIDE)
         assert unit.config.needs_embedding == bool(unit.fits)
         assert len(unit.fits) < 2  # replay needs one embedding for all seeds
-        assert unit.config.seeds[0] == 300 and unit.config.reward == "sparse"
+        assert unit.config.seeds[0] == 500 and unit.config.reward == "sparse"
         assert unit.config.steps == (100_000 if replays else 1_000_000)
         assert len(unit.config.evaluations) >= 20
 
@@ -55,10 +55,29 @@ def test_an_algorithm_without_a_replay_buffer_has_no_arms_that_replay() -> None:
 
 
 def test_a_task_whose_target_is_not_a_state_has_no_guide() -> None:
-    labels = [arm.label for arm in make_study("uses", "smoke", task="reacher-trig").arms]
-    assert GUIDE not in labels and len(labels) == len(ways(True)) - 1
     study = make_study("uses", "smoke", task="reacher-trig")
+    labels = [arm.label for arm in study.arms]
+    assert GUIDE not in labels and len(labels) == len(ways(True)) - 1
     assert all(GUIDE not in claim.text for claim in study.claims)
+    assert "reacher-trig has no guide: its goal is not a state." in study.notes
+
+
+def test_policies_use_plans_of_their_own_task() -> None:
+    """The embeddings of `cartpole` learn from swing-ups, in which its episodes would end at once."""
+    study = make_study("uses", "smoke", task="cartpole")
+    for arm in study.arms:
+        (unit,) = arm.units
+        assert {fit.plans.problem for fit in unit.fits} <= {"cartpole-swingup"}
+        demos = unit.demos.plans if isinstance(unit.demos, GuideUnit) else unit.demos
+        assert demos is None or demos.problem == "cartpole"
+
+
+def test_a_cloned_policy_of_trpo_begins_with_little_noise_in_units_of_its_control() -> None:
+    arms = {arm.name: arm.units[0].config for arm in make_study("uses", "half").arms}
+    std = {name: getattr(config.algorithm, "on_policy", None) for name, config in arms.items()}
+    assert std["cartpole-swingup, TRPO/cloning"].initial_std == pytest.approx(0.3)  # of -3 to 3 N
+    assert std["acrobot-swingup, TRPO/guide"].initial_std == pytest.approx(1.0)  # of -10 to 10 N m
+    assert std["cartpole-swingup, TRPO/resets"].initial_std == 1.0
 
 
 def test_a_unit_is_named_after_its_demonstrations_only_if_it_uses_some() -> None:
@@ -125,12 +144,14 @@ def test_the_costs_of_arms_count_what_they_need(guided: tuple[Study, Path], tmp_
     none, plans, guide = summarise(findings).costs
     counted = simulated_steps(folder_of(PLANS, out))
     assert (none.needs_core_seconds, none.simulated_steps) == (0, 0)
-    assert plans.simulated_steps == guide.simulated_steps == counted > 10_000
+    controlled = read_result(GUIDE_UNIT, out).found.simulated_steps
+    assert plans.simulated_steps == counted > 10_000
+    assert guide.simulated_steps == counted + controlled > 2 * counted
     assert guide.needs_core_seconds > plans.needs_core_seconds > 0
     write_tidy(findings, tmp_path / "results.csv")
     read = summarise(read_tidy(study, tmp_path / "results.csv", {}))
     assert read.plans == summarise(findings).plans and read.claims == summarise(findings).claims
-    assert [row.simulated_steps for row in read.costs] == [0, counted, counted]
+    assert [row.simulated_steps for row in read.costs] == [0, counted, counted + controlled]
     assert [row.mean for row in read.panels[study.arms[0].panel]] == pytest.approx(
         [row.mean for row in summarise(findings).panels[study.arms[0].panel]], abs=1e-5
     )

@@ -193,10 +193,12 @@ def with_settings(
     hints, known = get_type_hints(type(config)), {f.name: f for f in fields(config)}  # pyright: ignore
     changes: dict[str, Any] = {}
     other_names = _other_names(config)
+    given_as: dict[str, str] = {}
     for given, value in settings.items():
         key = other_names.get(given, given)
-        if key in changes:
-            raise UsageError(f"{where}: {given} and {key} are the same setting: give one of them.")
+        if key in given_as:
+            raise UsageError(f"{where}: {given_as[key]} and {given} are the same setting: give one of them.")
+        given_as[key] = given
         if key in ignored or (key in ("name", "source_sha256") and key not in known):
             continue
         if key not in known:

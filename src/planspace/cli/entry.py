@@ -115,8 +115,9 @@ def _check_not_empty(arguments: Sequence[str]) -> None:
         UsageError: there is one.
     """
     for before, argument in zip(["", *arguments], arguments, strict=False):
-        if argument == "" or (argument.startswith("--") and argument.endswith("=")):
-            where = argument or (before if before.startswith("--") else "an argument")
+        option, equals, value = argument.partition("=")
+        if argument == "" or (option.startswith("--") and equals and not value):
+            where = option or (before if before.startswith("--") else "an argument")
             raise UsageError(f"{where} is empty. Is a variable of the shell not set?")
 
 

@@ -4,7 +4,7 @@ DIR/manifest.json              what the states mean, the model, and each shard w
 DIR/model/...                  the files of a model that has more than one
 DIR/shard-00000.safetensors    some episodes, their arrays laid end to end
 DIR/trees/shard-00000.safetensors    their search trees, if they were kept
-DIR/log.jsonl                  dates and wall times; not part of any hash
+DIR/log.jsonl                  dates, failures and simulated steps; not part of any hash
 """
 
 import json

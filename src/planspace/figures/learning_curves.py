@@ -12,13 +12,18 @@ MAX_BANDS = 6
 STYLES = ("-", "--", ":")
 """Line styles that tell arms of the same colour apart."""
 
+MEAN_RETURN = f"episode return, mean over {SMOOTHING} iterations"
 
-def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Figure:
+
+def plot_curves(
+    curves: Mapping[str, Curve], title: str, shown: str = MEAN_RETURN
+) -> matplotlib.figure.Figure:
     """Draw the learning curves of several arms.
 
     Args:
         curves: a curve for each label in the legend.
         title: the title of the figure.
+        shown: what the curves show, for the axis.
     """
     with_bands = len(curves) <= MAX_BANDS
     figure = matplotlib.figure.Figure(figsize=(7 if with_bands else 9.5, 4.3), layout="constrained")
@@ -31,7 +36,7 @@ def plot_curves(curves: Mapping[str, Curve], title: str) -> matplotlib.figure.Fi
             axes.fill_between(steps, curve.low, curve.high, color=colour, alpha=0.18, linewidth=0)
             axes.plot(steps, curve.best, color=colour, linewidth=1, linestyle="--")
     axes.set_xlabel("environment steps per seed [million]")
-    axes.set_ylabel(f"episode return, mean over {SMOOTHING} iterations")
+    axes.set_ylabel(shown)
     axes.set_title(title, loc="left", pad=16)
     key = "solid: mean over seeds" if with_bands else "line: mean over seeds"
     if with_bands:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from planspace.errors import PlanspaceError
 from planspace.mjcf.compile import stepping
 from planspace.physics.space import StateSpace
+from planspace.physics.step_count import count_steps
 
 MAX_REPEATS = 100_000
 """Largest number of steps between two recorded states."""
@@ -20,6 +21,7 @@ def advance(
     num_steps: int = 1,
 ) -> Float[np.ndarray, " state"]:
     """Apply a control for a number of steps and return the state after them."""
+    count_steps(num_steps)
     if space.kinematic:
         before = space.read_data(data)
         space.write_data(space.integrate(before, control * num_steps * model.opt.timestep), data)

@@ -21,6 +21,7 @@ from mujoco.batch import Batch
 from planspace.mjcf.compile import GeomPairs, stepping
 from planspace.physics.constraints import Constraints
 from planspace.physics.space import StateSpace
+from planspace.physics.step_count import count_steps
 from planspace.physics.supported import check_supported
 
 _WARNINGS = [
@@ -81,8 +82,6 @@ class Simulator:
             check_supported(model)
         self.model, self.space, self.num, self.validity = model, space, num, validity
         self.threads = threads
-        self.steps_taken = 0
-        """Physics steps that were taken so far, added over all simulations."""
         with stepping():
             self._batch = Batch(model, num, threads)
         self._qpos = self._batch.bind("qpos")
@@ -120,7 +119,7 @@ class Simulator:
     ) -> None:
         """Apply each control, clipped to its bounds, for a number of physics steps."""
         index = slice(None) if ids is None else ids
-        self.steps_taken += num_steps * (self.num if ids is None else len(ids))
+        count_steps(num_steps * (self.num if ids is None else len(ids)))
         clipped = np.clip(controls, self.control_low, self.control_high)
         stage = 0 if self.validity.forbidden_contacts == "none" else _POSITION_STAGE
         if not self.space.kinematic:

@@ -41,7 +41,7 @@ SHARD_EPISODES = 10
 """Plans per shard. A kill loses those since the last shard, Ctrl-C those after the first unfinished plan."""
 LOG = "log.jsonl"
 STEPS = "simulated_steps"
-"""What the log calls the physics steps that planning took, of all simulations, failed attempts included."""
+"""What the log calls the physics steps that planning took, see `Planned`; null if they were not counted."""
 TREE_SETTINGS = ("keep_trees", "tree_nodes")
 
 
@@ -218,7 +218,7 @@ def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Planned]) -> N
 
     def save() -> None:
         row = {"time": time.time(), "planned": next_index, "failures": list(failures)}
-        row[STEPS] = sum(steps)
+        row[STEPS] = None if None in steps else sum(steps)
         append_rows(folder.path / LOG, [row], key="planned")  # before the shard, so that no row is missing
         folder.append(batch, next_index)
         batch.clear()
@@ -254,14 +254,15 @@ def _failure_row(index: int, failure: Failure) -> dict[str, Any]:
 
 
 def simulated_steps(folder: Path) -> int | None:
-    """The physics steps that the plans of a folder took; None if planned by a version that did not count.
+    """The physics steps that the plans of a folder took; None if they were not counted, see `Planned`.
 
     Raises:
         PlanspaceError: the log is missing or damaged.
     """
     with reject_malformed(folder / LOG):
         rows = read_rows(folder / LOG)
-        return sum(row[STEPS] for row in rows) if all(STEPS in row for row in rows) else None
+        counts = [row[STEPS] for row in rows if row.get(STEPS) is not None]
+        return sum(counts) if len(counts) == len(rows) else None
 
 
 def _report_failures(folder: DemoFolder) -> str:

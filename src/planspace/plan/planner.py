@@ -56,6 +56,8 @@ class Planner(Protocol):
     - `name: ClassVar[str]`, recorded in datasets. By default its module and class.
     - `default_restarts: ClassVar[int]`, the number of searches per plan unless `PlanConfig.restarts` is set.
       By default 1.
+    - `searches_elsewhere: ClassVar[bool]`, True if it simulates in another process. The steps that its plans
+      took are then not counted.
     - `check(problem) -> None`, which raises `UsageError` if it cannot plan this problem. It is called once,
       before anything is written.
     """

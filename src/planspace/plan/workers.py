@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from planspace.demos.episode import Episode
 from planspace.errors import PlanspaceError, UsageError
+from planspace.physics.step_count import steps_taken
 from planspace.plan.config import PlanConfig
 from planspace.plan.pipeline import Pipeline
 from planspace.plan.planner import PAGE, Failure
@@ -21,8 +22,9 @@ class Planned(NamedTuple):
     """A plan, or why there is none, and what it took."""
 
     found: Episode | Failure
-    simulated_steps: int
-    """Physics steps of all simulations: of searching, polishing and proving, failed attempts included."""
+    simulated_steps: int | None
+    """Physics steps of all simulations: of searching, polishing and proving, failed attempts included. None
+    for a planner that searches in another process."""
 
 
 def plan_all(
@@ -84,9 +86,10 @@ def _plan_packed(packed: bytes, seed: int, index: int) -> Planned:
 
 def _plan(pipeline: Pipeline, seed: int, index: int) -> Planned:
     """Plan one demonstration, and count the simulated steps."""
-    before = pipeline.simulator.steps_taken
+    before = steps_taken()
     found = pipeline.plan(seed, index)
-    return Planned(found, pipeline.simulator.steps_taken - before)
+    elsewhere = getattr(pipeline.config.planner, "searches_elsewhere", False)
+    return Planned(found, None if elsewhere else steps_taken() - before)
 
 
 @lru_cache(maxsize=2)

@@ -228,9 +228,9 @@ class Builder:
         steps = self.budget.fit_steps or config.steps
         return FitUnit(plans, replace(config, steps=steps), **seeds)
 
-    def guide(self, task: str | Task, fit: FitUnit, config: ControlConfig) -> GuideUnit:
-        """Episodes of control, by distance in the z of an embedding."""
-        return GuideUnit(task, fit, self.budget.guide_episodes, config)
+    def guide(self, task: str | Task, plans: PlansUnit, fit: FitUnit, config: ControlConfig) -> GuideUnit:
+        """Episodes of control by distance in the z of an embedding, which may follow plans."""
+        return GuideUnit(task, plans, fit, self.budget.guide_episodes, config)
 
     def fits(self, plans: PlansUnit, config: FitConfig, num: int = 0, first: int = 0) -> tuple[FitUnit, ...]:
         """Embeddings with different seeds, to use in turn."""

@@ -27,6 +27,7 @@ from planspace.embed.saved_embedding import load_embedding
 from planspace.embed.training_log import read_log
 from planspace.errors import PartialResult, PlanspaceError
 from planspace.figures.projection import principal_components
+from planspace.physics.step_count import steps_taken
 from planspace.plan.config import PlanConfig
 from planspace.plan.demonstrations import plan_into, simulated_steps
 from planspace.rl.play import play
@@ -181,7 +182,8 @@ def _run_plans(unit: PlansUnit, folder: Path, out: Path) -> PlansResult:
 
 
 def _run_guide(unit: GuideUnit, folder: Path, out: Path) -> PlansResult:
-    embedding, plans = load_embedding(folder_of(unit.fit, out)), load_demos(folder_of(unit.fit.plans, out))
+    embedding, plans = load_embedding(folder_of(unit.fit, out)), load_demos(folder_of(unit.plans, out))
+    before, resumed = steps_taken(), folder.exists()
     summary = control_into(
         Plant.find(unit.task),
         embedding,
@@ -200,6 +202,7 @@ def _run_guide(unit: GuideUnit, folder: Path, out: Path) -> PlansResult:
         median_duration_s=float(np.median(demos.times[demos.offsets[1:] - 1])),
         reached=len(demos) / unit.num,
         hash=demos.hash,
+        simulated_steps=None if resumed else steps_taken() - before,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from planspace.embed.config import FitConfig
 from planspace.embed.training_log import LogRow
 from planspace.errors import PlanspaceError
-from planspace.figures.learning_curves import MAX_BANDS, plot_curves
+from planspace.figures.learning_curves import MAX_BANDS, MEAN_RETURN, plot_curves
 from planspace.figures.style import save_figure
 from planspace.figures.training_curves import plot_training
 from planspace.rl.learning_curve import SMOOTHING, Curve, learning_curve
@@ -19,7 +19,7 @@ from planspace.storage.files import make_folder, write_bytes
 from planspace.storage.json_files import write_json
 from planspace.study import stats
 from planspace.study.answer import answer
-from planspace.study.design import Arm
+from planspace.study.design import Arm, solved_level
 from planspace.study.figures import (
     Profile,
     interactive_curves,
@@ -37,7 +37,6 @@ from planspace.study.summary import ABOUT, folder_of_study, summarise
 from planspace.study.tables import ArmRow, StudySummary
 from planspace.study.tidy import FILE, write_tidy
 from planspace.study.unit import FitUnit
-from planspace.tasks.catalog import find_task
 
 SPACES = "demonstrations-in-z"
 """File name of the figure of demonstrations in z."""
@@ -55,7 +54,7 @@ class _Panel:
     slug: str
     rows: list[ArmRow]
     has_level: bool
-    """Whether the task has a return above which it counts as solved."""
+    """Whether there is a return above which a seed counts as having solved the task."""
     curves: str
     """Learning curves, as HTML."""
     profiles: str
@@ -161,14 +160,15 @@ def _panel(findings: Findings, name: str, arms: list[Arm], summary: StudySummary
     profiles, rows = _profiles(reached), summary.panels[name]
     steps = arms[0].units[0].config.steps
     title = f"{name}: {_seeds(rows)} seeds of {steps / 1e6:g} M steps"
-    save_figure(plot_curves(curves, title), figures, slug(name))
+    shown = "return of evaluations" if findings.study.evaluated else MEAN_RETURN
+    save_figure(plot_curves(curves, title, shown), figures, slug(name))
     save_figure(plot_reached(reached, rows, title), figures, f"{slug(name)}-reached")
     save_figure(plot_profiles(profiles, title), figures, f"{slug(name)}-profile")
     return _Panel(
         name=name,
         slug=slug(name),
         rows=rows,
-        has_level=any(find_task(arm.units[0].task).solved_return is not None for arm in arms),
+        has_level=any(solved_level(arm) is not None for arm in arms),
         curves=embedded(interactive_curves(curves)),
         profiles=embedded(interactive_profiles(profiles)),
         films=[(arm.label, film) for arm in arms if (film := _film(findings, arm))],

@@ -25,7 +25,7 @@ class PlansResult:
     hash: str = ""
     """Hash of the dataset's content."""
     simulated_steps: int | None = field(default=None, compare=False)
-    """Physics steps that the planner took, over all simulations; None if not counted."""
+    """Physics steps that planner or control took, over all simulations; None if not counted."""
 
 
 @dataclass(frozen=True)

@@ -245,11 +245,11 @@ def _core_seconds(findings: Findings, units: Iterable[Unit]) -> float | None:
 
 
 def _simulated_steps(findings: Findings, units: Iterable[Unit]) -> int | None:
-    """The physics steps of the plans among some units; None if they were not counted."""
-    plans = [unit for unit in units if isinstance(unit, PlansUnit)]
-    if not all(findings.done(unit) for unit in plans):
+    """The physics steps of planner and control in some units; None if they were not counted."""
+    demos = [unit for unit in units if isinstance(unit, PlansUnit | GuideUnit)]
+    if not all(findings.done(unit) for unit in demos):
         return None
-    counts = [findings.demos(unit).simulated_steps for unit in plans]
+    counts = [findings.demos(unit).simulated_steps for unit in demos]
     return None if None in counts else sum(count or 0 for count in counts)
 
 

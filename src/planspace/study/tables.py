@@ -100,7 +100,7 @@ class PlansRow:
     reached: float
     median_duration_s: float
     simulated_steps: int | None
-    """Physics steps that the planner took; None for other demonstrations, or if not counted."""
+    """Physics steps that planner or control took; None if not counted."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class CostRow:
     needs_core_seconds: float | None
     """Core seconds of demonstrations and embeddings, which other arms may share; None if not timed."""
     simulated_steps: int | None
-    """Physics steps of the planner; None if not counted."""
+    """Physics steps of planner and control; None if not counted."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ Cells that do not apply are empty. The tables, claims and curves of a study can 
 | `training_path_error`, `training_bound` | seed, embedding, step | during the training of the embedding |
 | `straightness`, ... | seed, embedding | geometry on test demonstrations; the seed is the selected one |
 | `plans_count`, `plans_reached`, `plans_median_duration_s`, `plans_simulated_steps` | embedding | \
-its demonstrations; without an embedding those that the policies use |
+its demonstrations; without an embedding those that policies or a guide use |
+| `guide_count`, ... | | the episodes of a guide |
 | `..._core_seconds` | | time of a unit: of plans, of an embedding, of policies of five seeds |
 """
 
@@ -35,14 +36,15 @@ from planspace.study.design import Arm, Study, solved_level
 from planspace.study.findings import Findings
 from planspace.study.results import FitResult, PlansResult, PoliciesResult, UnitResult
 from planspace.study.stats import Reached, Scores
-from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, Unit
+from planspace.study.unit import DemosUnit, FitUnit, GuideUnit, PlansUnit, Unit
 
 FILE = "results.csv"
 POINTS = 25
 """Number of points of a stored learning curve. The tables are computed from the full curve."""
 LOG_POINTS = 20
 """Number of points of a stored training curve of an embedding. Each is a mean of neighbouring rows."""
-PLANS_TIME, FIT_TIME, POLICIES_TIME = "plans_core_seconds", "embedding_core_seconds", "policies_core_seconds"
+PLANS_TIME, GUIDE_TIME = "plans_core_seconds", "guide_core_seconds"
+FIT_TIME, POLICIES_TIME = "embedding_core_seconds", "policies_core_seconds"
 TRAINING = {"path_error": "training_path_error", "bound": "training_bound"}
 PLANS_METRICS = ("count", "reached", "median_duration_s", "simulated_steps")
 
@@ -136,7 +138,7 @@ def _rows(findings: Findings, points: Mapping[str, int]) -> Iterator[Row]:
                 yield from (
                     _fit_rows(head, findings, unit)
                     if isinstance(unit, FitUnit)
-                    else _plans_rows(head, findings, unit)
+                    else _demos_rows(head, findings, unit)
                 )
                 yield from _time_rows(head, findings, unit)
         if scores := findings.scores.get(arm.name):
@@ -151,15 +153,18 @@ def _rows(findings: Findings, points: Mapping[str, int]) -> Iterator[Row]:
 def _needs(arm: Arm) -> Iterator[tuple[str, int | None, DemosUnit | FitUnit]]:
     """The units that an arm's policies need: metric of the time, index of the embedding, unit.
 
-    The embedding of a guide follows those of z. Demonstrations that the policies use have no index.
+    The embedding of a guide follows those of z. Demonstrations that policies or a guide use have no index.
     """
     unit = arm.units[0]
-    guides = (unit.demos.fit,) if isinstance(unit.demos, GuideUnit) else ()
-    for index, fit in enumerate((*unit.fits, *guides)):
+    guide = unit.demos if isinstance(unit.demos, GuideUnit) else None
+    for index, fit in enumerate(unit.fits if guide is None else (*unit.fits, guide.fit)):
         yield PLANS_TIME, index, fit.plans
         yield FIT_TIME, index, fit
-    if unit.demos is not None:
+    if isinstance(unit.demos, PlansUnit):
         yield PLANS_TIME, None, unit.demos
+    if guide is not None:
+        yield PLANS_TIME, None, guide.plans
+        yield GUIDE_TIME, None, guide
 
 
 def _policy_rows(study: str, arm: Arm, scores: Scores, points: int) -> Iterator[Row]:
@@ -213,11 +218,11 @@ def _fit_rows(head: Row, findings: Findings, unit: FitUnit) -> Iterator[Row]:
                     yield row._replace(value=round(float(value), 5))
 
 
-def _plans_rows(head: Row, findings: Findings, unit: DemosUnit) -> Iterator[Row]:
+def _demos_rows(head: Row, findings: Findings, unit: DemosUnit) -> Iterator[Row]:
     found = findings.demos(unit)
     for name in PLANS_METRICS:
         if (value := getattr(found, name)) is not None:
-            yield head._replace(metric=f"plans_{name}", value=value)
+            yield head._replace(metric=f"{unit.kind}_{name}", value=value)
 
 
 def _time_rows(head: Row, findings: Findings, unit: Unit) -> Iterator[Row]:
@@ -273,7 +278,7 @@ def _unit_results(arm: Arm, rows: Sequence[Row], scores: Scores | None) -> Itera
         if isinstance(unit, FitUnit):
             found = _fit_result(unit, [row for row in own if not row.metric.startswith("plans_")])
         else:
-            found = _plans_result(own)
+            found = _demos_result(unit.kind, own)
         if found is not None:
             yield unit.name, _timed(found, times.get((metric, index, None)))
     seeds = scores.seeds if scores else ()
@@ -309,15 +314,16 @@ def _fit_result(unit: FitUnit, rows: Sequence[Row]) -> FitResult | None:
     )
 
 
-def _plans_result(rows: Sequence[Row]) -> PlansResult | None:
-    found = {row.metric: row.value for row in rows if row.metric.startswith("plans_")}
-    if "plans_count" not in found:
+def _demos_result(kind: str, rows: Sequence[Row]) -> PlansResult | None:
+    own = [row for row in rows if row.metric.startswith(f"{kind}_")]
+    found = {row.metric.removeprefix(f"{kind}_"): row.value for row in own}
+    if "count" not in found:
         return None
-    steps = found.get("plans_simulated_steps")
+    steps = found.get("simulated_steps")
     return PlansResult(
-        count=int(found["plans_count"]),
-        reached=found["plans_reached"],
-        median_duration_s=found["plans_median_duration_s"],
+        count=int(found["count"]),
+        reached=found["reached"],
+        median_duration_s=found["median_duration_s"],
         simulated_steps=None if steps is None else int(steps),
     )
 

@@ -111,8 +111,10 @@ class GuideUnit(_Unit):
     settings = ()
     task: str | Task
     """The name of a shipped task, or a task of your own."""
+    plans: PlansUnit
+    """The plans that control may follow."""
     fit: FitUnit
-    """The embedding that computes distances; its demonstrations may be followed."""
+    """The embedding that computes distances."""
     num: int
     """Number of episodes, those that missed the goal included."""
     config: ControlConfig
@@ -127,7 +129,7 @@ class GuideUnit(_Unit):
     @property
     def needs(self) -> tuple["Unit", ...]:
         """Units whose folders this one reads."""
-        return (self.fit.plans, self.fit)
+        return (self.plans, self.fit)
 
     @property
     def cost(self) -> float:

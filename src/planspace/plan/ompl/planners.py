@@ -3,7 +3,7 @@
 import importlib.metadata
 import importlib.util
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from tyro.conf import Suppress
@@ -28,6 +28,7 @@ NOT_IN_VERSION_2 = ("SST", "PDST")
 class OMPL:
     """A planner of OMPL. Every plan runs in a separate process, because OMPL's bindings can crash."""
 
+    searches_elsewhere: ClassVar[bool] = True
     algorithm: Annotated[str, Suppress] = "RRT"
     """OMPL's name for the planner."""
     seconds: float = 20.0
