@@ -58,10 +58,13 @@ def has_row(rows: Iterable[Row], key: Row) -> bool:
 
 
 def add_row(path: Path, columns: Sequence[str], rows: list[Row], row: Row) -> None:
-    """Add a row to the others and to the file, and print it."""
+    """Add a row to the others and to the file, and print it.
+
+    The file is read again first: the same benchmark may run on another core and add rows of its own.
+    """
     rows.append(row)
     print(*(row[column] for column in columns), sep="  ", flush=True)
-    write_rows(path, columns, rows)
+    write_rows(path, columns, [*read_rows(path), row])
 
 
 def add_missing(

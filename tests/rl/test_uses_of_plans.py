@@ -14,7 +14,7 @@ from planspace.envs.episodes import TaskEpisodes
 from planspace.envs.plan_starts import PlanStarts
 from planspace.envs.task import TaskEnv
 from planspace.errors import PlanspaceError, UsageError
-from planspace.rl import arm, training
+from planspace.rl import arm, evaluation
 from planspace.rl.algorithms.trpo import TRPO
 from planspace.rl.config import TrainConfig
 from planspace.rl.observe import Observer
@@ -61,7 +61,7 @@ def starts_of(rollouts: list[Rollout]) -> np.ndarray:
 def test_training_starts_at_plans_and_evaluation_does_not(
     demos: Demos, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    played: dict[Any, list[Rollout]] = {arm: [], training: []}
+    played: dict[Any, list[Rollout]] = {arm: [], evaluation: []}
     for module, rollouts in played.items():
         monkeypatch.setattr(module, "collect", recorder(rollouts))
     # `cartpole` ends an episode beyond 0.2 rad, so that episodes also start within an iteration
@@ -71,7 +71,7 @@ def test_training_starts_at_plans_and_evaluation_does_not(
     starts = starts_of(played[arm])
     assert len(starts) > 8 and (starts[:, None] == known).all(axis=2).any(axis=1).all()
     assert len(np.unique(starts, axis=0)) > 4
-    assert (np.abs(starts_of(played[training])) <= 0.01).all()
+    assert (np.abs(starts_of(played[evaluation])) <= 0.01).all()
 
 
 def test_half_of_the_starts_are_from_plans_and_the_others_as_without_plans(demos: Demos) -> None:
