@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from planspace.embed.measurement import measure_embedding as measure_embedding
     from planspace.embed.objective import Objective as Objective
     from planspace.embed.pixels.config import ImageFitConfig as ImageFitConfig
+    from planspace.embed.pixels.config import PictureSpaceConfig as PictureSpaceConfig
     from planspace.embed.pixels.encoder import ImageEncoder as ImageEncoder
     from planspace.embed.pixels.fit import fit_image_encoder as fit_image_encoder
     from planspace.embed.pixels.saved import load_image_encoder as load_image_encoder
@@ -62,6 +63,7 @@ _MODULE_OF = {
     "Objective": "planspace.embed.objective",
     "PartialResult": "planspace.errors",
     "PictureConfig": "planspace.physics.pictures",
+    "PictureSpaceConfig": "planspace.embed.pixels.config",
     "PlanConfig": "planspace.plan.config",
     "PlanspaceError": "planspace.errors",
     "Policy": "planspace.rl.saved_policy",

@@ -98,22 +98,8 @@ class FitConfig:
             raise unknown("inputs", self.inputs, INPUT_TYPES)
 
     def with_objective(self, objective: str | Objective | Callable[..., Any]) -> "FitConfig":
-        """Return these settings with another objective.
-
-        Args:
-            objective: the name of a shipped one, which keeps the weights that it shares with the present one,
-                so that a preset's weights hold; or an objective or a function `loss(model, sample, *, key)`,
-                which is taken as it is.
-
-        Raises:
-            UsageError: the name is unknown, or the object is not an `Objective`.
-        """
-        if not isinstance(objective, str):
-            return replace(self, objective=as_objective(objective))
-        if objective not in OBJECTIVES:
-            error = unknown("objective", objective, OBJECTIVES)
-            raise UsageError(f"{error} To write an Objective of your own, see {PAGE}.")
-        return replace(self, objective=_share_weights(OBJECTIVES[objective], self.objective))
+        """Return these settings with another objective, see `find_objective`."""
+        return replace(self, objective=find_objective(objective, self.objective))
 
     def with_settings(self, **changes: Any) -> "FitConfig":
         """Return these settings with some changed, the objective's own ones included.
@@ -170,6 +156,26 @@ class TimeHeadConfig:
         check_setting("time_plan_weight", weight, 0 <= weight < math.inf, "at least 0 and finite")
         if self.inputs not in TIME_INPUTS:
             raise unknown("time_inputs", self.inputs, TIME_INPUTS)
+
+
+def find_objective(given: str | Objective | Callable[..., Any], present: Objective) -> Objective:
+    """Find an objective that replaces the present one.
+
+    Args:
+        given: the name of a shipped one, which keeps the weights that it shares with the present one, so that
+            a preset's weights hold; or an objective or a function `loss(model, sample, *, key)`, which is
+            taken as it is.
+        present: the present one.
+
+    Raises:
+        UsageError: the name is unknown, or the object is not an `Objective`.
+    """
+    if not isinstance(given, str):
+        return as_objective(given)
+    if given not in OBJECTIVES:
+        error = unknown("objective", given, OBJECTIVES)
+        raise UsageError(f"{error} To write an Objective of your own, see {PAGE}.")
+    return _share_weights(OBJECTIVES[given], present)
 
 
 _RENAMED = {"near": "short_fraction", "z_deviation": "z_std"}

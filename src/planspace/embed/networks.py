@@ -36,7 +36,7 @@ class GaussianNetwork(eqx.Module):
     def __call__(self, x: Float[Array, " in"]) -> DiagonalGaussian:
         """Compute the Gaussian for one input."""
         mu, rho = jnp.split(_forward(self.weights, self.biases, x), 2)
-        return DiagonalGaussian(mu, _positive(rho) + self.sigma_floor)
+        return DiagonalGaussian(mu, positive(rho) + self.sigma_floor)
 
 
 class Transition(eqx.Module):
@@ -109,7 +109,7 @@ def glorot_layers(sizes: Sequence[int], key: Key[Array, ""]) -> tuple[list[Array
     return weights, [jnp.zeros(b) for b in sizes[1:]]
 
 
-def _positive(rho: Array) -> Array:
+def positive(rho: Array) -> Array:
     """ELU + 1 (equation 12). Below 0 it equals exp, which is used where the sum would round to 0."""
     return jnp.where(rho < ROUNDED_BELOW, jnp.exp(jnp.minimum(rho, 0.0)), jax.nn.elu(rho) + 1.0)
 

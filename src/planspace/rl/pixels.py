@@ -20,15 +20,16 @@ class PixelObservations:
     """The observations of a policy that was trained on states, computed from pictures.
 
     Where the policy observes the state, it gets the encoder's estimate of it. If the errors of the estimates
-    are known, a filter joins them, and z is that of the filtered state; otherwise z is the encoder's. The
-    target of a task with targets is not read from pictures.
+    are known, a filter joins them, and z is that of the filtered state in the policy's own embedding;
+    otherwise z is the encoder's. The target of a task with targets is not read from pictures.
     """
 
     def __init__(self, policy: Policy, task: AnyTask, encoder: ImageEncoder):
         """Check that policy and encoder fit together, and open the renderer.
 
         Raises:
-            UsageError: the task is not one of planspace, or the policy's z is another one than the encoder's.
+            UsageError: the task is not one of planspace, or the policy's z is another one than the encoder's
+                and nothing filters the states.
             PlanspaceError: no OpenGL backend works here.
         """
         if not isinstance(task, Task):
@@ -36,12 +37,16 @@ class PixelObservations:
         about = policy.about
         if about.get("goal", "raw") == "z":
             raise UsageError("the policy observes z of its goal, which is not read from pictures.")
-        if about["z"] != "none" and not _same_z(policy.load_embedding(), encoder.teacher):
+        own = policy.load_embedding() if about["z"] != "none" else None
+        if encoder.state_error is None and own is not None and not _same_z(own, encoder.teacher):
             raise UsageError(
-                "the policy was trained with another embedding than the teacher of the encoder: train the "
-                f"encoder with --teacher {policy.embedding}."
+                "the policy was trained with another embedding than the teacher of the encoder, which does "
+                f"not know the errors of its states: train an encoder with --teacher {policy.embedding}."
             )
         model, space = task.compile()
+        self._own, self._columns = None if encoder.state_error is None else own, list[int]()
+        if self._own is not None:
+            self._columns = list(self._own.columns_of(space.names))
         num_steps = task.action_repeat * task.frame_skip
         self._motion = model, space, num_steps
         self._sight = Sight(encoder, model, space, num_steps * float(model.opt.timestep))
@@ -65,6 +70,8 @@ class PixelObservations:
             env: the environment, which knows the target.
         """
         z, seen = self._sight.see(state)
+        if self._own is not None:
+            z = self._own.encode(seen[self._columns])
         about, parts = self._about, []
         if about["z"] != "replace" or about["z_to"] != "both":
             parts.append(self._task.observe_as(about["obs"], seen[None], env.target[None])[0])

@@ -18,10 +18,18 @@ from planspace import (
     load_image_encoder,
 )
 from planspace.cli import main
+from planspace.embed.config import FitConfig, find_objective
 from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
+from planspace.embed.objectives.pca import PrincipalComponents
+from planspace.embed.objectives.vae import AutoEncoder
 from planspace.embed.pixels import training
+from planspace.embed.pixels.config import PictureSpaceConfig
+from planspace.embed.pixels.plan_space import DrawnPictures, PictureTriplets, Shrinking, learn_plan_space
 from planspace.embed.pixels.stacks import draw_stacks, stacks_of_plans
 from planspace.embed.pixels.training import init
+from planspace.embed.pixels.twin import fit_twin
+from planspace.embed.samples import make_samples
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.pictures import Pictures
 from planspace.storage.files import write_bytes
@@ -93,6 +101,106 @@ def test_a_finished_training_is_loaded(folder: Path, encoder: ImageEncoder, demo
     assert "Privileged state" in (folder / "README.md").read_text()
     with pytest.raises(PlanspaceError, match="was made with other settings: fit.steps"):
         fit_image_encoder(demos, encoder.teacher, config=replace(TINY, steps=31), out=folder)
+
+
+@pytest.fixture(scope="module")
+def learned_folder(opengl: str, demos: Demos, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An encoder that was trained on pictures alone."""
+    out = tmp_path_factory.mktemp("pixels") / "learned"
+    config = replace(TINY, target="pictures", space=PictureSpaceConfig(z_dim=2))
+    fit_image_encoder(demos, config=config, out=out, verbose=False)
+    return out
+
+
+def test_a_plan_space_of_pictures_has_a_twin_for_states(learned_folder: Path, demos: Demos) -> None:
+    encoder = load_image_encoder(learned_folder)
+    plans, stacks = stacks_of_plans(demos, np.arange(len(demos)), TINY.pictures, encoder.frame_s)
+    z, states = encoder.read(stacks.images)
+    assert z.shape == (len(plans.states), 2) and states.shape == plans.states.shape
+    of_states = encoder.teacher.encode(plans.states)
+    assert np.sqrt((of_states.std(axis=0) ** 2).mean()) == pytest.approx(2.5, rel=0.3)
+    assert "No state was\nused" in (learned_folder / "README.md").read_text()
+    rows = [json.loads(line) for line in (learned_folder / "log.jsonl").read_text().splitlines()]
+    assert {"loss", "log_likelihood", "midpoint_kl"} <= set(rows[-1])
+    objective = json.loads((learned_folder / "config.json").read_text())["fit"]["space"]["objective"]
+    assert objective["name"] == "variational" and objective["linearity"] == 200
+
+
+def test_a_twin_computes_z_of_pictures_from_states(demos: Demos) -> None:
+    info, x = demos.info, demos.states
+    inputs = Inputs.fit(x, info.names, info.units, info.circular_columns, "trig")
+    mu = inputs(x)[:, :2] @ np.array([[1.0, 2.0], [-1.0, 1.0]])
+    twin = fit_twin(inputs, x, mu, np.full_like(mu, 0.2), 600, 0)
+    found, sigma = twin.encode_distribution(x)
+    np.testing.assert_allclose(sigma.mean(), 0.2, rtol=0.3)
+    assert np.sqrt(((found - mu) ** 2).mean()) < 0.2
+    assert np.sqrt(((inputs(twin.decode(mu)) - inputs(x))[:, :2] ** 2).mean()) < 0.5
+
+
+def data_of(demos: Demos, config: ImageFitConfig) -> PictureTriplets:
+    """Random pictures in place of those of the demonstrations, with their triplets."""
+    shape = (len(demos.states), *config.pictures.stack_shape)
+    images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    info, every = demos.info, np.arange(len(demos))
+    inputs = Inputs.fit(demos.states, info.names, info.units, info.circular_columns, "trig")
+    samples = make_samples(demos, every, inputs, FitConfig(objective=config.space.objective), 0)
+    return PictureTriplets(images, samples, images)
+
+
+def test_states_of_plans_do_not_reach_a_plan_space_of_pictures(demos: Demos, tmp_path: Path) -> None:
+    """Training data with other states, but the same pictures, give the same network."""
+    config, found = replace(TINY, target="pictures", steps=3), []
+    for name, states in (("same", demos.states), ("reversed", demos.states[::-1])):
+        data = data_of(replace(demos, states=states), config)
+        (tmp_path / name).mkdir()
+        found.append(learn_plan_space(data, config, 0, tmp_path / name).read(data.images)[0])
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("name", ["vae", "straightening", "distance", "e2c", "shuffled"])
+def test_other_objectives_work_on_pictures(demos: Demos, name: str, tmp_path: Path) -> None:
+    space = PictureSpaceConfig(find_objective(name, TINY.space.objective), z_dim=2, warm_up=0.0)
+    config = replace(TINY, target="pictures", space=space, steps=1, batch=8)
+    learn_plan_space(data_of(demos, config), config, 0, tmp_path)
+    assert np.isfinite(json.loads((tmp_path / "log.jsonl").read_text())["loss"])
+
+
+def test_objectives_that_calculate_with_states_do_not(demos: Demos, tmp_path: Path) -> None:
+    space = PictureSpaceConfig(find_objective("direct", TINY.space.objective))
+    config = replace(TINY, target="pictures", space=space)
+    with pytest.raises(UsageError, match="the loss of the Objective direct failed on its first sample"):
+        learn_plan_space(data_of(demos, config), config, 0, tmp_path)
+
+
+def test_the_weights_of_pictures_follow_the_likelihood() -> None:
+    """The likelihood of a drawn stack is highest for the stack itself, and grows with the weight."""
+    stacks = np.random.default_rng(0).integers(0, 256, (20, *TINY.pictures.stack_shape), dtype=np.uint8)
+    shrink = Shrinking.fit(stacks)
+    drawn = np.stack([shrink(jnp.asarray(stack)) for stack in stacks])
+    half = drawn.shape[1] // 2
+    np.testing.assert_allclose([drawn[:, :half].std(), drawn[:, half:].std()], 1.0, atol=1e-3)
+    one, ten = (DrawnPictures(jnp.asarray(drawn[0]), jnp.asarray(0.5), shrink, w) for w in (1.0, 10.0))
+    assert one.log_prob(jnp.asarray(stacks[0])) == pytest.approx(np.log(2), abs=1e-4)
+    others = [float(one.log_prob(jnp.asarray(stack))) for stack in stacks[1:]]
+    expected = [np.log(2) - 2 * ((x - drawn[0]) ** 2).mean() for x in drawn[1:]]
+    np.testing.assert_allclose(others, expected, rtol=1e-4)
+    assert ten.log_prob(jnp.asarray(stacks[1])) == pytest.approx(10 * others[0], rel=1e-4)
+
+
+def test_a_target_and_what_belongs_to_another_are_refused(demos: Demos, embedding: Embedding) -> None:
+    pictures, vae = replace(TINY, target="pictures"), PictureSpaceConfig(AutoEncoder())
+    with pytest.raises(UsageError, match="learns a z of its own: leave out the teacher"):
+        fit_image_encoder(demos, embedding, config=pictures)
+    with pytest.raises(UsageError, match="the target 'z' needs a teacher"):
+        fit_image_encoder(demos, config=TINY)
+    with pytest.raises(UsageError, match="settings of the target 'pictures': with the target 'z'"):
+        replace(TINY, space=vae)
+    space = PictureSpaceConfig(PrincipalComponents())
+    with pytest.raises(UsageError, match="the objective pca is computed from states: choose another"):
+        fit_image_encoder(demos, config=replace(pictures, space=space), verbose=False)
+    for name, wrong in (("z_dim", 0), ("picture_weight", 0.0), ("warm_up", 2.0)):
+        with pytest.raises(UsageError, match=f"`{name}` must be"):
+            replace(space, **{name: wrong})
 
 
 def test_the_error_of_its_states_is_kept(encoder: ImageEncoder, demos: Demos, tmp_path: Path) -> None:
@@ -193,6 +301,10 @@ def test_the_command_continues_a_finished_training(
     assert "on held-out plans" in capsys.readouterr().out
     assert main(["pixels", str(demo_folder)]) == 2
     assert "`--teacher EMBEDDING` is required" in capsys.readouterr().err
+    assert main([*given, "--objective", "vae"]) == 2
+    assert "settings of the target 'pictures'" in capsys.readouterr().err
+    assert main([*given, "--linearity", "3"]) == 2
+    assert "settings of the target 'pictures'" in " ".join(capsys.readouterr().err.split())
 
 
 def test_other_run_folders_are_no_encoders(tmp_path: Path, folder: Path, embedding_folder: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from planspace.control.runs import EPISODES, control_into
 from planspace.demos.load import load_demos
 from planspace.embed.pixels.sight import Sight
 from planspace.errors import UsageError
+from planspace.rl.pixels import PixelObservations
 from planspace.rl.play import play
 from planspace.rl.saved_policy import load_policy
 from planspace.tasks.catalog import find_task
@@ -122,9 +124,16 @@ def test_what_a_policy_sees_is_filtered_if_errors_are_known(
     assert len(made) == 2
 
 
-def test_another_teacher_is_refused(embedding: Embedding) -> None:
-    policy = load_policy("cartpole-swingup")
-    if policy.about["z"] == "none":
-        pytest.skip("the ready-made policy observes no z")
+def test_another_teacher_serves_only_a_policy_that_sees_filtered_states(
+    opengl: str, embedding: Embedding, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, own = load_policy("cartpole-swingup"), planspace.load_embedding("cartpole-swingup")
+    encoder, filtered = untrained(embedding), np.array([0.5, 2.0, -1.0, 3.0])
     with pytest.raises(UsageError, match="another embedding than the teacher of the encoder"):
-        play(policy, 1, 0, encoder=untrained(embedding))
+        play(policy, 1, 0, encoder=encoder)
+    monkeypatch.setattr("planspace.rl.pixels.StateFilter", lambda *_: lambda estimate: filtered)
+    task = find_task("cartpole-swingup")
+    observe = PixelObservations(policy, task, replace(encoder, state_error=np.ones(4)))
+    observe.restart(0)
+    seen = observe(np.zeros(4), SimpleNamespace(target=np.zeros(0)))
+    np.testing.assert_allclose(seen[-own.z_dim :], own.encode(filtered), rtol=1e-5)

@@ -15,6 +15,11 @@ TARGETS = {
     "state": "the state, from which the teacher computes z",
     "random": "z of the state; only the last layer was trained, the others have random weights",
 }
+PRIVILEGED = """The network was trained on {}. **Privileged state in
+training**: the states of the training pictures were known. The teacher is in the folder `teacher`."""
+ALONE = """The network was trained on pictures of plans alone, with the objective `{}`. No state was
+used. The folder `teacher` has an embedding of states that was fitted to z afterwards; the states of the
+training pictures were known for that."""
 
 
 def image_card(encoder: ImageEncoder) -> str:
@@ -38,8 +43,7 @@ It computes z of {encoder.z_dim} numbers from stacks of {view.frames} pictures o
 
 ## Training
 
-The network was trained on {TARGETS[encoder.target]}. **Privileged state in
-training**: the states of the training pictures were known. The teacher is in the folder `teacher`.
+{_training(encoder)}
 
 ## Held-out plans
 
@@ -52,3 +56,9 @@ training**: the states of the training pictures were known. The teacher is in th
 It knows one robot, one camera and its colours. `encoder.distance(images)` says how far pictures are from
 those of the training: 1 is the most unusual one. It has seen states near the demonstrations only.
 """
+
+
+def _training(encoder: ImageEncoder) -> str:
+    if encoder.target == "pictures":
+        return ALONE.format(encoder.about["settings"]["fit"]["space"]["objective"].get("name", "function"))
+    return PRIVILEGED.format(TARGETS[encoder.target])

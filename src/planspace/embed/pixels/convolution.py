@@ -4,12 +4,13 @@ A picture is divided into blocks of 2 x 2 pixels, so that a convolution is one m
 neighbouring blocks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from planspace.embed.embedding import LinearMap
 from planspace.embed.mlp import Layer, forward
 
 KERNEL = 4
@@ -31,6 +32,14 @@ class ConvolutionalNetwork:
         for kernel, bias in self.kernels:
             x = np.maximum(_blocks(x) @ as_matrix(kernel) + bias, 0.0)
         return forward(self.dense, x.reshape(1, -1), lambda h: np.maximum(h, 0.0))[0]
+
+
+def with_linear_map(network: ConvolutionalNetwork, to_z: LinearMap) -> ConvolutionalNetwork:
+    """Keep the first outputs of a network, the mean of z before a linear map, and apply the map to them."""
+    *hidden, (weight, bias) = network.dense
+    kept = len(to_z.centre)
+    last = weight[:, :kept] @ to_z.matrix, (bias[:kept] - to_z.centre) @ to_z.matrix
+    return replace(network, dense=(*hidden, last))
 
 
 def to_input(stack: Any) -> Any:

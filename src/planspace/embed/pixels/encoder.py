@@ -19,9 +19,9 @@ from planspace.summary import html_summary, text_summary
 
 @dataclass(frozen=True, repr=False)
 class ImageEncoder:
-    """A map from stacks of pictures to z, distilled from an embedding of states.
+    """A map from stacks of pictures to z: that of an embedding of states, or one learned from pictures.
 
-    It was trained with the states of the pictures at hand; it needs none of them to encode.
+    It needs no states to encode.
     """
 
     network: ConvolutionalNetwork
@@ -32,7 +32,8 @@ class ImageEncoder:
     target: Target
     """What the network was trained to output."""
     teacher: Embedding
-    """The embedding of states."""
+    """The embedding of states with the same z: what the network learned from or, with the target `pictures`,
+    what was fitted to the network afterwards."""
     pictures: PictureConfig
     """What the pictures must look like."""
     frame_s: float

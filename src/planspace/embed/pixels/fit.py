@@ -1,4 +1,4 @@
-"""Train an encoder of pictures: draw stacks, distil the teacher into a network, measure it, save it."""
+"""Train an encoder of pictures: draw stacks, train a network on them, measure it, save it."""
 
 import tempfile
 from collections.abc import Sequence
@@ -10,16 +10,32 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.demos.dataset import Demos
+from planspace.embed.config import FitConfig
 from planspace.embed.embedding import Embedding
+from planspace.embed.inputs import Inputs
+from planspace.embed.objective import title_of
 from planspace.embed.pixels.appearance import Appearance
 from planspace.embed.pixels.card import image_card
 from planspace.embed.pixels.config import ImageFitConfig
+from planspace.embed.pixels.convolution import ConvolutionalNetwork, with_linear_map
 from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.measure import measure_images
+from planspace.embed.pixels.plan_space import PictureTriplets, learn_plan_space
 from planspace.embed.pixels.saved import DESCRIPTION, load_image_encoder
-from planspace.embed.pixels.stacks import Stacks, check_pictures, default_frame_s, draw_stacks
+from planspace.embed.pixels.stacks import (
+    Stacks,
+    check_pictures,
+    default_frame_s,
+    draw_stacks,
+    stacks_of_plans,
+)
 from planspace.embed.pixels.training import train_network
+from planspace.embed.pixels.twin import fit_twin
+from planspace.embed.principal import principal_map
+from planspace.embed.rotations import find_quaternions
+from planspace.embed.samples import make_samples
 from planspace.embed.saved_embedding import CARD
+from planspace.embed.support import Support
 from planspace.errors import UsageError
 from planspace.physics.angles import wrap
 from planspace.progress import progress_shown
@@ -37,7 +53,7 @@ HELD_OUT_STREAM = 1
 
 def fit_image_encoder(
     demos: Demos,
-    teacher: Embedding,
+    teacher: Embedding | None = None,
     *,
     config: ImageFitConfig | None = None,
     visited: Sequence[Demos] = (),
@@ -45,13 +61,16 @@ def fit_image_encoder(
     seed: int = 0,
     verbose: bool = True,
 ) -> ImageEncoder:
-    """Train a network to compute z from pictures as the teacher computes it from states.
+    """Train a network to compute z from pictures.
 
-    The training sees the states of the pictures (privileged information); the encoder does not.
+    With a teacher, the network learns to compute z as the teacher computes it from states: the training sees
+    the states of the pictures (privileged information); the encoder does not. Without a teacher, and with the
+    target `pictures`, an objective is minimised on the pictures alone; an embedding of states is fitted to
+    the result afterwards.
 
     Args:
         demos: the demonstrations, with a model.
-        teacher: the embedding of their states.
+        teacher: the embedding of their states; none for the target `pictures`.
         config: the settings.
         visited: datasets of states that a policy or a controller visited (DAgger: act, add what was visited,
             train again). Plans, search trees if they were kept, and each of these datasets give equally many
@@ -77,15 +96,23 @@ def fit_image_encoder(
 @dataclass(frozen=True)
 class _Request:
     demos: Demos
-    teacher: Embedding
+    teacher: Embedding | None
     config: ImageFitConfig
     visited: tuple[Demos, ...]
     seed: int
 
+    def __post_init__(self) -> None:
+        """Check that there is a teacher if the target needs one."""
+        target = self.config.target
+        if self.teacher is None and target != "pictures":
+            raise UsageError(f"the target {target!r} needs a teacher: the embedding of states to learn from.")
+        if self.teacher is not None and target == "pictures":
+            raise UsageError("the target 'pictures' learns a z of its own: leave out the teacher.")
+
     @property
     def split(self) -> dict[str, np.ndarray]:
         """The teacher's split if these are its demonstrations, so that its test plans stay unseen."""
-        about = self.teacher.about
+        about = None if self.teacher is None else self.teacher.about
         if about is not None and about.settings.demos == self.demos.hash:
             return {name: np.array(part) for name, part in about.split.items()}
         return self.demos.split(self.seed)
@@ -98,7 +125,8 @@ class _Request:
 
 def _fit(request: _Request, out: Path) -> ImageEncoder:
     names = request.demos.info.names
-    request.teacher.columns_of(names)
+    if request.teacher is not None:
+        request.teacher.columns_of(names)
     for other in request.visited:
         if other.info.names != names:
             raise UsageError(
@@ -107,12 +135,14 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
             )
     settings: dict[str, Any] = {
         "demos": request.demos.hash,
-        "teacher": request.teacher.hash,
+        "teacher": None if request.teacher is None else request.teacher.hash,
         "visited": [other.hash for other in request.visited],
         "seed": request.seed,
         "frame_s": request.frame_s,
         "fit": plain_settings(request.config),
     }
+    if request.teacher is None:
+        settings["fit"]["space"] = plain_settings(request.config.space)
     if not (out / DESCRIPTION).exists():  # otherwise nothing is drawn
         check_pictures(request.demos, request.config.pictures, request.frame_s)
     with lock_folder(out):
@@ -123,23 +153,10 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
 
 
 def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> ImageEncoder:
-    demos, teacher, config = request.demos, request.teacher, request.config
-    split = request.split
-    stacks = draw_stacks(_sources(request, "train"), config, request.frame_s, request.seed)
-    targets = _targets(request, stacks)
-    mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), LEAST_STD)
-    scaled = ((targets - mean) / std).astype(np.float32)
-    encoder = ImageEncoder(
-        network=train_network(stacks.images, scaled, config, request.seed, out),
-        mean=mean.astype(np.float64),
-        std=std.astype(np.float64),
-        target=config.target,
-        teacher=teacher,
-        pictures=config.pictures,
-        frame_s=request.frame_s,
-        appearance=Appearance.fit(stacks.images[..., -3:]),
-    )
-    found = measure_images(encoder, demos, split["test"])
+    demos = request.demos
+    train = _distil if request.teacher is not None else _learn
+    encoder = train(request, out)
+    found = measure_images(encoder, demos, request.split["test"])
     about = {
         "problem": demos.info.problem or "",
         "settings": settings,
@@ -150,6 +167,70 @@ def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> I
     write_bytes(out / CARD, image_card(encoder).encode())
     encoder.save(out)
     return encoder
+
+
+def _distil(request: _Request, out: Path) -> ImageEncoder:
+    """Train the network on what the teacher says of the states."""
+    teacher, config = request.teacher, request.config
+    assert teacher is not None
+    stacks = draw_stacks(_sources(request, "train"), config, request.frame_s, request.seed)
+    states = stacks.states[:, list(teacher.columns_of(request.demos.info.names))]
+    targets = teacher.inputs(states) if config.target == "state" else teacher.encode(states)
+    mean, std = targets.mean(axis=0), np.maximum(targets.std(axis=0), LEAST_STD)
+    scaled = ((targets - mean) / std).astype(np.float32)
+    network = train_network(stacks.images, scaled, config, request.seed, out)
+    return _encoder(request, network, teacher, stacks, mean.astype(np.float64), std.astype(np.float64))
+
+
+def _learn(request: _Request, out: Path) -> ImageEncoder:
+    """Train the network on pictures of plans, then fit an embedding of states to it."""
+    config, split, space = request.config, request.split, request.config.space
+    plans, on_plans = stacks_of_plans(request.demos, split["train"], config.pictures, request.frame_s)
+    info, every = plans.info, np.arange(len(plans))
+    quaternions = find_quaternions(request.demos.info, info.names, "trig")
+    inputs = Inputs.fit(plans.states, info.names, info.units, info.circular_columns, "trig", quaternions)
+    if space.objective.closed_form(inputs, plans.states, space.z_dim) is not None:
+        raise UsageError(
+            f"the objective {title_of(space.objective)} is computed from states: choose another."
+        )
+    samples = make_samples(plans, every, inputs, FitConfig(objective=space.objective), request.seed)
+    off_plans = draw_stacks(_sources(request, "train"), config, request.frame_s, request.seed)
+    data = PictureTriplets(on_plans.images, samples, off_plans.images)
+    learned = learn_plan_space(data, config, request.seed, out)
+    stacks = Stacks(
+        np.concatenate([on_plans.images, off_plans.images]),
+        np.concatenate([on_plans.states, off_plans.states]),
+    )
+    twin = fit_twin(inputs, stacks.states, *learned.read(stacks.images), config.steps, request.seed)
+    standard = FitConfig()
+    to_z = principal_map(twin, plans.states, whitening=standard.whitening, std=standard.z_std)
+    known = inputs(request.demos.states[request.demos.rows(split["validation"])])
+    support = Support.fit(
+        inputs(plans.states), known, np.random.default_rng(np.random.SeedSequence([request.seed, 2]))
+    )
+    twin = replace(twin, linear_map=to_z, support=support)
+    network = with_linear_map(learned.network.to_numpy(), to_z)
+    return _encoder(request, network, twin, on_plans, np.zeros(space.z_dim), np.ones(space.z_dim))
+
+
+def _encoder(
+    request: _Request,
+    network: ConvolutionalNetwork,
+    embedding: Embedding,
+    stacks: Stacks,
+    mean: np.ndarray,
+    std: np.ndarray,
+) -> ImageEncoder:
+    return ImageEncoder(
+        network=network,
+        mean=mean,
+        std=std,
+        target=request.config.target,
+        teacher=embedding,
+        pictures=request.config.pictures,
+        frame_s=request.frame_s,
+        appearance=Appearance.fit(stacks.images[..., -3:]),
+    )
 
 
 def _sources(request: _Request, part: str) -> list[tuple[Demos, np.ndarray]]:
@@ -163,18 +244,11 @@ def _sources(request: _Request, part: str) -> list[tuple[Demos, np.ndarray]]:
 
 def _state_error(request: _Request, encoder: ImageEncoder) -> Float[np.ndarray, " state"]:
     """Root-mean-square error of the estimated state on stacks of held-out plans and of visited states."""
-    names, inputs = request.demos.info.names, request.teacher.inputs
+    names, inputs = request.demos.info.names, encoder.teacher.inputs
     config = replace(request.config, stacks=NUM_HELD_OUT)
     stacks = draw_stacks(_sources(request, "test"), config, request.frame_s, request.seed, HELD_OUT_STREAM)
-    true = stacks.states[:, list(request.teacher.columns_of(names))]
+    true = stacks.states[:, list(encoder.teacher.columns_of(names))]
     error = encoder.states(stacks.images) - true
     circular = list(inputs.circular_columns)
     error[:, circular] = wrap(error[:, circular])
     return np.maximum(np.sqrt((error**2).mean(axis=0)), LEAST_STD)
-
-
-def _targets(request: _Request, stacks: Stacks) -> np.ndarray:
-    """What the network is to output: z, or what the teacher's encoder reads of the state."""
-    teacher = request.teacher
-    states = stacks.states[:, list(teacher.columns_of(request.demos.info.names))]
-    return teacher.inputs(states) if request.config.target == "state" else teacher.encode(states)

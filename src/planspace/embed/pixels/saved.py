@@ -2,7 +2,7 @@
 
     DIR/encoder.safetensors   the weights, the normaliser and the looks of the training pictures
     DIR/encoder.json          what they mean: pictures, architecture, target, settings, metrics, provenance
-    DIR/teacher/              the embedding of states that it was distilled from
+    DIR/teacher/              the embedding of states with the same z: its teacher, or its twin
     DIR/README.md, log.jsonl  model card and training log, written by `fit_image_encoder`
 
 The JSON contains its own checksum and the SHA-256 of the weights. Loading does not import JAX.

@@ -1,8 +1,9 @@
 """Train the convolutional network, with progress, log and checkpoint between stretches."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,6 +13,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Key, UInt8
 
+from planspace.embed.losses import Terms
 from planspace.embed.mlp import forward
 from planspace.embed.pixels.config import STRIDE, ImageFitConfig
 from planspace.embed.pixels.convolution import KERNEL, ConvolutionalNetwork, to_input
@@ -23,6 +25,8 @@ from planspace.storage.rows import append_rows
 
 CHUNK = 100
 """Steps between two rows of the log and two checkpoints."""
+
+State = TypeVar("State")
 
 _he_normal = jax.nn.initializers.he_normal(in_axis=(0, 1, 2), out_axis=-1)
 _lecun_normal = jax.nn.initializers.lecun_normal(in_axis=0, out_axis=-1)
@@ -92,36 +96,62 @@ def train_network(
     Raises:
         PlanspaceError: the training diverged.
     """
+
+    def step(state: TrainState, number: int) -> tuple[TrainState, Terms]:
+        batch = np.random.default_rng((seed, number)).integers(len(images), size=config.batch)
+        state, loss = _step(state, jnp.asarray(images[batch]), jnp.asarray(targets[batch]), config)
+        return state, {"loss": loss}
+
     state = init(config, targets.shape[1], jr.key(seed))
+    return run_steps(state, step, config.steps, out).network.to_numpy()
+
+
+def run_steps(
+    state: State, step: Callable[[State, int], tuple[State, Terms]], num_steps: int, out: Path
+) -> State:
+    """Take the steps of a training, or those that are missing after the checkpoint in `out`.
+
+    Args:
+        state: everything that changes, before the first step.
+        step: takes one step, given the state and the number of the step; also returns terms for the log, with
+            the `loss` among them.
+        num_steps: how many steps.
+        out: the run's folder, for checkpoint and log.
+
+    Raises:
+        PlanspaceError: the training diverged.
+    """
     saved = load_checkpoint(out, state)
     state, first = (state, 0) if saved is None else (saved[0], saved[1]["step"])
-    with progress("pixels", config.steps, done=first, unit="step") as bar:
-        while first < config.steps:
-            length = min(CHUNK, config.steps - first)
-            losses = []
-            for step in range(first, first + length):
-                batch = np.random.default_rng((seed, step)).integers(len(images), size=config.batch)
-                state, loss = _step(state, jnp.asarray(images[batch]), jnp.asarray(targets[batch]), config)
-                losses.append(loss)
+    with progress("pixels", num_steps, done=first, unit="step") as bar:
+        if first < num_steps:
+            bar.set_postfix_str("compiling")
+        while first < num_steps:
+            length, found = min(CHUNK, num_steps - first), []
+            for number in range(first, first + length):
+                state, terms = step(state, number)
+                found.append(terms)
             first += length
-            loss = float(np.mean(losses))
-            if not np.isfinite(loss):
+            names = dict.fromkeys(name for terms in found for name in terms)
+            means = {n: float(np.mean([terms[n] for terms in found if n in terms])) for n in names}
+            if not np.isfinite(means["loss"]):
                 raise PlanspaceError(f"training diverged before step {first}: try a lower --learning-rate.")
-            append_rows(out / LOG, [{"step": first, "time": time.time(), "loss": loss}], key="step")
+            append_rows(out / LOG, [{"step": first, "time": time.time(), **means}], key="step")
             save_checkpoint(out, state, {"step": first})
             bar.update(length)
-            bar.set_postfix_str(f"loss {loss:.4f}", refresh=False)
-    return state.network.to_numpy()
+            bar.set_postfix_str(f"loss {means['loss']:.4g}", refresh=False)
+    return state
 
 
 @eqx.filter_jit
 def init(config: ImageFitConfig, num_out: int, key: Key[Array, ""]) -> TrainState:
     """Draw fresh weights, in one compiled program."""
     network = TrainedNetwork(config, num_out, key=key)
-    return TrainState(network, _optimiser(config).init(eqx.filter(network, eqx.is_array)))
+    return TrainState(network, adam(config).init(eqx.filter(network, eqx.is_array)))
 
 
-def _optimiser(config: ImageFitConfig) -> optax.GradientTransformation:
+def adam(config: ImageFitConfig) -> optax.GradientTransformation:
+    """Adam, with the learning rate scheduled as the settings say."""
     return optax.adam(optax.cosine_decay_schedule(config.learning_rate, config.steps))
 
 
@@ -139,5 +169,5 @@ def _step(
     if config.target == "random":  # only the last layer moves
         zeros = jax.tree.map(jnp.zeros_like, gradient)
         gradient = eqx.tree_at(lambda g: g.dense[-1], zeros, gradient.dense[-1])
-    updates, optimiser_state = _optimiser(config).update(gradient, state.optimiser)
+    updates, optimiser_state = adam(config).update(gradient, state.optimiser)
     return TrainState(eqx.apply_updates(state.network, updates), optimiser_state), value
