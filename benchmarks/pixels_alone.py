@@ -9,14 +9,18 @@ All encoders are trained on the same plans of the swing-up:
 - `auto-encoder`: the same networks as a variational auto-encoder,
 - `z` and `state`: the network learns z, or the state, from an embedding of the same plans.
 
+`states` reads the state: it is that embedding itself. `pictures, twin` and `auto-encoder, twin` read the state,
+too: they are the embeddings of states that were fitted to those encoders.
+
 A row has the geometry of z on the plans of the test split; the mean returns of the three ready-made policies,
 which see the state that the encoder estimates, with a Kalman filter; and control by distance in the encoder's
-z, from the same estimates. All start from ten states that nothing else uses. The first row is that of states.
+z, from the same estimates. All start from ten states that nothing else uses.
 
 Encoders and episodes are kept in the folder, so the same command goes on. The results are in
 results/pixels/alone.csv.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,16 +49,15 @@ from planspace.rl.saved_policy import load_policy
 RESULTS = Path(__file__).parents[1] / "results" / "pixels" / "alone.csv"
 TASK = "cartpole-swingup"
 ALONE = ImageFitConfig(target="pictures", batch=128)
-KINDS = {
-    "states": None,
+CONFIGS = {
     "pictures": ALONE,
-    "auto-encoder": ImageFitConfig(
-        target="pictures", batch=128, space=PictureSpaceConfig(AutoEncoder(), warm_up=0.0)
-    ),
+    "auto-encoder": replace(ALONE, space=PictureSpaceConfig(AutoEncoder(), warm_up=0.0)),
     "z": ImageFitConfig(target="z"),
     "state": ImageFitConfig(target="state"),
 }
-"""What reads pictures, and how it is trained; `states` is the embedding itself."""
+"""How each encoder of pictures is trained."""
+TWIN = ", twin"
+KINDS = ("states", "z", "state", "pictures", "auto-encoder", "pictures, twin", "auto-encoder, twin")
 EPISODES = 10
 COLUMNS = ("reads", "plans", "seed", *METRICS, "returns", "control_return", "control_success")
 
@@ -78,17 +81,17 @@ def main() -> None:
 
 def measure(kind: str, seed: int, demos: Demos, folder: Path) -> Row:
     """Train an encoder, and measure it."""
-    config, encoder = KINDS[kind], None
-    if config is None or config.target != "pictures":
+    name = kind.removesuffix(TWIN)
+    embedding = encoder = None
+    if name in ("states", "z", "state"):
         embedding = fit_embedding(demos, num_seeds=5, seed=seed, out=folder / f"embedding-{seed}")
-    else:
-        embedding = None
-    if config is not None:
-        encoder = fit_image_encoder(demos, embedding, config=config, out=folder / f"{kind}-{seed}", seed=seed)
-        embedding = encoder.teacher
+    if name in CONFIGS:
+        out = folder / f"{name}-{seed}"
+        encoder = fit_image_encoder(demos, embedding, config=CONFIGS[name], out=out, seed=seed)
+        embedding, encoder = encoder.teacher, None if kind.endswith(TWIN) else encoder
     assert embedding is not None
     policies = [play(load_policy(TASK, s), EPISODES, FIRST_START, encoder=encoder)[0] for s in POLICY_SEEDS]
-    out = folder / f"control-{kind}-{seed}"
+    out = folder / f"control-{kind.replace(', ', '-')}-{seed}"
     found = control_into(
         Plant.find(TASK), embedding, ControlConfig(), out, num=EPISODES, seed=0, encoder=encoder
     )
@@ -117,7 +120,7 @@ def table(rows: list[Row]) -> str:
     shown = [name for name in COLUMNS if name not in ("plans", "seed")]
     head = " | ".join(titles.get(name, name.replace("_", " ")) for name in shown)
     lines = [f"| {head} |", "|---" * len(shown) + "|"]
-    for row in sorted(rows, key=lambda row: list(KINDS).index(row["reads"])):
+    for row in sorted(rows, key=lambda row: KINDS.index(row["reads"])):
         lines.append(f"| {' | '.join(row[name] for name in shown)} |")
     return "\n".join(lines)
 

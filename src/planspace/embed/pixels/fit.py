@@ -10,17 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from planspace.demos.dataset import Demos
-from planspace.embed.config import FitConfig
 from planspace.embed.embedding import Embedding
-from planspace.embed.inputs import Inputs
-from planspace.embed.objective import title_of
+from planspace.embed.pixels.alone import Lesson, learn_alone, prepare
 from planspace.embed.pixels.appearance import Appearance
 from planspace.embed.pixels.card import image_card
 from planspace.embed.pixels.config import ImageFitConfig
-from planspace.embed.pixels.convolution import ConvolutionalNetwork, with_linear_map
+from planspace.embed.pixels.convolution import ConvolutionalNetwork
 from planspace.embed.pixels.encoder import ImageEncoder
 from planspace.embed.pixels.measure import measure_images
-from planspace.embed.pixels.plan_space import PictureTriplets, learn_plan_space
 from planspace.embed.pixels.saved import DESCRIPTION, load_image_encoder
 from planspace.embed.pixels.stacks import (
     Stacks,
@@ -30,12 +27,7 @@ from planspace.embed.pixels.stacks import (
     stacks_of_plans,
 )
 from planspace.embed.pixels.training import train_network
-from planspace.embed.pixels.twin import fit_twin
-from planspace.embed.principal import principal_map
-from planspace.embed.rotations import find_quaternions
-from planspace.embed.samples import make_samples
 from planspace.embed.saved_embedding import CARD
-from planspace.embed.support import Support
 from planspace.errors import UsageError
 from planspace.physics.angles import wrap
 from planspace.progress import progress_shown
@@ -143,22 +135,25 @@ def _fit(request: _Request, out: Path) -> ImageEncoder:
     }
     if request.teacher is None:
         settings["fit"]["space"] = plain_settings(request.config.space)
+    lesson = None
     if not (out / DESCRIPTION).exists():  # otherwise nothing is drawn
         check_pictures(request.demos, request.config.pictures, request.frame_s)
+        if request.teacher is None:
+            lesson = prepare(request.demos, request.split, request.config, request.frame_s, request.seed)
     with lock_folder(out):
         open_run(out, settings)
         if (out / DESCRIPTION).exists():
             return load_image_encoder(out)
-        return _train_and_save(request, settings, out)
+        encoder = _distil(request, out) if lesson is None else _learn(request, lesson, out)
+        return _measure_and_save(request, encoder, settings, out)
 
 
-def _train_and_save(request: _Request, settings: dict[str, Any], out: Path) -> ImageEncoder:
-    demos = request.demos
-    train = _distil if request.teacher is not None else _learn
-    encoder = train(request, out)
-    found = measure_images(encoder, demos, request.split["test"])
+def _measure_and_save(
+    request: _Request, encoder: ImageEncoder, settings: dict[str, Any], out: Path
+) -> ImageEncoder:
+    found = measure_images(encoder, request.demos, request.split["test"])
     about = {
-        "problem": demos.info.problem or "",
+        "problem": request.demos.info.problem or "",
         "settings": settings,
         "metrics": found.summary(),
         "versions": Provenance.current("mujoco", "jax").plain(),
@@ -182,35 +177,14 @@ def _distil(request: _Request, out: Path) -> ImageEncoder:
     return _encoder(request, network, teacher, stacks, mean.astype(np.float64), std.astype(np.float64))
 
 
-def _learn(request: _Request, out: Path) -> ImageEncoder:
-    """Train the network on pictures of plans, then fit an embedding of states to it."""
-    config, split, space = request.config, request.split, request.config.space
-    plans, on_plans = stacks_of_plans(request.demos, split["train"], config.pictures, request.frame_s)
-    info, every = plans.info, np.arange(len(plans))
-    quaternions = find_quaternions(request.demos.info, info.names, "trig")
-    inputs = Inputs.fit(plans.states, info.names, info.units, info.circular_columns, "trig", quaternions)
-    if space.objective.closed_form(inputs, plans.states, space.z_dim) is not None:
-        raise UsageError(
-            f"the objective {title_of(space.objective)} is computed from states: choose another."
-        )
-    samples = make_samples(plans, every, inputs, FitConfig(objective=space.objective), request.seed)
-    off_plans = draw_stacks(_sources(request, "train"), config, request.frame_s, request.seed)
-    data = PictureTriplets(on_plans.images, samples, off_plans.images)
-    learned = learn_plan_space(data, config, request.seed, out)
-    stacks = Stacks(
-        np.concatenate([on_plans.images, off_plans.images]),
-        np.concatenate([on_plans.states, off_plans.states]),
-    )
-    twin = fit_twin(inputs, stacks.states, *learned.read(stacks.images), config.steps, request.seed)
-    standard = FitConfig()
-    to_z = principal_map(twin, plans.states, whitening=standard.whitening, std=standard.z_std)
-    known = inputs(request.demos.states[request.demos.rows(split["validation"])])
-    support = Support.fit(
-        inputs(plans.states), known, np.random.default_rng(np.random.SeedSequence([request.seed, 2]))
-    )
-    twin = replace(twin, linear_map=to_z, support=support)
-    network = with_linear_map(learned.network.to_numpy(), to_z)
-    return _encoder(request, network, twin, on_plans, np.zeros(space.z_dim), np.ones(space.z_dim))
+def _learn(request: _Request, lesson: Lesson, out: Path) -> ImageEncoder:
+    """Train the network on pictures of plans alone."""
+    config, frame_s, seed = request.config, request.frame_s, request.seed
+    _, on_plans = stacks_of_plans(request.demos, request.split["train"], config.pictures, frame_s)
+    off_plans = draw_stacks(_sources(request, "train"), config, frame_s, seed)
+    network, embedding = learn_alone(lesson, on_plans, off_plans, config, seed, out)
+    z_dim = config.space.z_dim
+    return _encoder(request, network, embedding, off_plans, np.zeros(z_dim), np.ones(z_dim))
 
 
 def _encoder(

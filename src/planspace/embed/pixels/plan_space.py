@@ -1,6 +1,6 @@
 """Learn a plan space from pictures alone: an objective of states, minimised on triplets of stacks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,7 +18,7 @@ from planspace.embed.gaussian import DiagonalGaussian
 from planspace.embed.losses import Terms
 from planspace.embed.mlp import forward
 from planspace.embed.networks import Transition, glorot_layers, positive
-from planspace.embed.objective import Objective, split_loss
+from planspace.embed.objective import split_loss
 from planspace.embed.objectives.vae import AutoEncoder
 from planspace.embed.pixels.config import BLOCK, ImageFitConfig
 from planspace.embed.pixels.convolution import to_input
@@ -177,14 +177,12 @@ def learn_plan_space(data: PictureTriplets, config: ImageFitConfig, seed: int, o
         out: the run's folder, for checkpoint and log.
 
     Raises:
-        UsageError: the objective cannot be minimised on pictures.
         PlanspaceError: the training diverged.
     """
     space = config.space
     key, step_key = jr.split(jr.key(seed))
     model = _new_model(data, config, key)
     num = max(1, config.batch // data.STACKS)
-    _check(space.objective, model, data, step_key)
     state = TrainState(model, _optimiser(config).init(eqx.filter(model, eqx.is_inexact_array)))
 
     def step(state: TrainState, number: int) -> tuple[TrainState, Terms]:
@@ -195,9 +193,22 @@ def learn_plan_space(data: PictureTriplets, config: ImageFitConfig, seed: int, o
     return LearnedSpace(run_steps(state, step, config.steps, out).model.encode.network)
 
 
-def _check(objective: Objective, model: PictureModel, data: PictureTriplets, key: Key[Array, ""]) -> None:
+def check_objective(samples: Samples, config: ImageFitConfig) -> None:
+    """Trace the objective's loss on a black triplet, without compiling it.
+
+    Args:
+        samples: the triplets that it will be minimised on.
+        config: the settings.
+
+    Raises:
+        UsageError: the loss raises an exception, because it calculates with states, or does not return what
+            `Objective.loss` requires.
+    """
+    black = np.zeros((1, *config.pictures.stack_shape), dtype=np.uint8)
+    data = PictureTriplets(np.broadcast_to(black, (len(samples.inputs), *black.shape[1:])), samples, black)
+    model = _new_model(replace(data, images=black), config, jr.key(0))
     sample = jax.tree.map(lambda a: a[0], data.draw(np.random.default_rng(0), 1))
-    uses_decoder(objective, model, sample, key)
+    uses_decoder(config.space.objective, model, sample, jr.key(0))
 
 
 def _new_model(data: PictureTriplets, config: ImageFitConfig, key: Key[Array, ""]) -> PictureModel:
