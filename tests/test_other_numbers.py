@@ -53,6 +53,16 @@ def test_tables_of_pixels() -> None:
     assert checked >= 7
 
 
+@pytest.mark.usefixtures("benchmarks")
+def test_table_of_pictures_alone() -> None:
+    import pixels_alone
+    from csv_rows import read_rows
+
+    page = (RESULTS.parent / "docs" / "pixels.md").read_text()
+    found = pixels_alone.table(read_rows(pixels_alone.RESULTS)).splitlines()
+    assert len(found) >= 9 and [line for line in found if line not in page] == []
+
+
 def test_plans_carried_out() -> None:
     with open(RESULTS / "control" / "plan_returns.csv") as file:
         found = list(csv.DictReader(file))
