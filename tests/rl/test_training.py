@@ -80,7 +80,7 @@ def test_in_memory_policies_outlive_their_training(embedding: Embedding) -> None
     run, policy = trained.run, trained.policy(1)
     assert policy.seed == 1 and trained.policy().seed in (0, 1)
     lines = repr(trained).splitlines()
-    assert lines[0] == "TrainedPolicies: cartpole-swingup, trpo, 2 seeds, 4,000 steps" and len(lines) == 3
+    assert lines[0] == "TrainedPolicies: cartpole-swingup, trpo, 2 seeds, 4,000 steps" and len(lines) == 4
     assert trained._repr_html_().count("<tr>") == 3
     assert [row.seed for row in trained.returns] == [0, 1]
     del trained

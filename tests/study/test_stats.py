@@ -190,3 +190,9 @@ def test_blocks_are_merged_in_the_order_of_their_seeds() -> None:
         Scores.of(arm, [block([0]), block([0])])
     with pytest.raises(PlanspaceError, match="do not fit together"):
         Scores.of(arm, [block([0]), block([1], (4000, 8000))])
+
+
+def test_a_single_seed_has_no_interval() -> None:
+    one, two = np.array([1.0]), np.array([2.0])
+    assert stats.probability_of_improvement(one, two) == (0.0, (0.0, 1.0))
+    assert stats.iqm_over_tasks([one, two]) == (1.5, (1.5, 1.5))

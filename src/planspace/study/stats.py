@@ -188,6 +188,9 @@ def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float
     def number(*drawn: np.ndarray, axis: int = -1) -> np.ndarray:
         return np.asarray(scipy.stats.trim_mean(np.concatenate(drawn, axis=axis), 0.25, axis=axis))
 
+    if min(map(len, samples)) < 2:  # nothing to draw from, as in `interval`
+        value = float(number(*samples))
+        return value, (value, value)
     found = scipy.stats.bootstrap(
         tuple(samples), number, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     )
@@ -198,12 +201,17 @@ def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float
 def probability_of_improvement(
     arm: Float[np.ndarray, " seed"], other: Float[np.ndarray, " other_seed"]
 ) -> tuple[float, Interval]:
-    """Probability that a seed of `arm` is better than a seed of `other`; ties count half (Mann-Whitney)."""
+    """Probability that a seed of `arm` is better than a seed of `other`; ties count half (Mann-Whitney).
+
+    A single seed says nothing about others: its interval is all of 0 to 1.
+    """
 
     def number(a: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
         pairs = np.sign(a[..., :, None] - b[..., None, :])
         return np.asarray((1.0 + pairs.mean(axis=(-2, -1))) / 2.0)
 
+    if min(len(arm), len(other)) < 2:
+        return float(number(arm, other)), (0.0, 1.0)
     found = scipy.stats.bootstrap(
         (arm, other), number, n_resamples=1000, method="percentile", rng=np.random.default_rng(0)
     )
