@@ -176,26 +176,19 @@ def interval(
 
 
 def iqm_over_tasks(samples: Sequence[Float[np.ndarray, " seed"]]) -> tuple[float, Interval]:
-    """Interquartile mean over all seeds of all tasks. The bootstrap draws seeds within each task.
+    """Interquartile mean over all seeds of all tasks, and its interval; seeds are drawn within each task.
 
     Args:
         samples: the normalised scores of each task.
-
-    Returns:
-        The mean and its interval.
     """
 
     def number(*drawn: np.ndarray, axis: int = -1) -> np.ndarray:
         return np.asarray(scipy.stats.trim_mean(np.concatenate(drawn, axis=axis), 0.25, axis=axis))
 
+    value = float(number(*samples))
     if min(map(len, samples)) < 2:  # nothing to draw from, as in `interval`
-        value = float(number(*samples))
         return value, (value, value)
-    found = scipy.stats.bootstrap(
-        tuple(samples), number, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
-    )
-    low, high = found.confidence_interval
-    return float(number(*samples)), (float(low), float(high))
+    return value, _bootstrapped(samples, number, RESAMPLES)
 
 
 def probability_of_improvement(
@@ -210,13 +203,14 @@ def probability_of_improvement(
         pairs = np.sign(a[..., :, None] - b[..., None, :])
         return np.asarray((1.0 + pairs.mean(axis=(-2, -1))) / 2.0)
 
-    if min(len(arm), len(other)) < 2:
-        return float(number(arm, other)), (0.0, 1.0)
-    found = scipy.stats.bootstrap(
-        (arm, other), number, n_resamples=1000, method="percentile", rng=np.random.default_rng(0)
-    )
-    low, high = found.confidence_interval
-    return float(number(arm, other)), (float(low), float(high))
+    single = min(len(arm), len(other)) < 2
+    return float(number(arm, other)), (0.0, 1.0) if single else _bootstrapped((arm, other), number, 1000)
+
+
+def _bootstrapped(samples: Sequence[np.ndarray], number: Callable[..., np.ndarray], num: int) -> Interval:
+    rng = np.random.default_rng(0)
+    found = scipy.stats.bootstrap(tuple(samples), number, n_resamples=num, method="percentile", rng=rng)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def profile(
