@@ -38,15 +38,15 @@ class PixelObservations:
         if about.get("goal", "raw") == "z":
             raise UsageError("the policy observes z of its goal, which is not read from pictures.")
         own = policy.load_embedding() if about["z"] != "none" else None
-        if encoder.state_error is None and own is not None and not _same_z(own, encoder.teacher):
+        if own is not None and _same_z(own, encoder.teacher):
+            own = None  # the encoder's z is the policy's
+        if own is not None and encoder.state_error is None:
             raise UsageError(
                 "the policy was trained with another embedding than the teacher of the encoder, which does "
                 f"not know the errors of its states: train an encoder with --teacher {policy.embedding}."
             )
         model, space = task.compile()
-        self._own, self._columns = None if encoder.state_error is None else own, list[int]()
-        if self._own is not None:
-            self._columns = list(self._own.columns_of(space.names))
+        self._own, self._columns = own, [] if own is None else list(own.columns_of(space.names))
         num_steps = task.action_repeat * task.frame_skip
         self._motion = model, space, num_steps
         self._sight = Sight(encoder, model, space, num_steps * float(model.opt.timestep))

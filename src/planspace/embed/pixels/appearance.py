@@ -1,6 +1,7 @@
 """How much a picture looks like those of the training: other cameras and colours are far away."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -44,7 +45,12 @@ class Appearance:
         return np.asarray(np.sqrt(np.mean(rest**2, axis=-1)) / self.limit)
 
 
-def _block_means(pictures: UInt8[np.ndarray, "*batch height width 3"]) -> Float[np.ndarray, "*batch block"]:
+def in_blocks(pictures: Any) -> Any:
+    """Divide pictures of NumPy or JAX into blocks of pixels, whose rows and columns are axes -4 and -2."""
     *batch, height, width, channels = pictures.shape
-    parts = pictures.reshape(*batch, height // BLOCK, BLOCK, width // BLOCK, BLOCK, channels)
-    return parts.mean(axis=(-4, -2), dtype=np.float32).reshape(*batch, -1) / np.float32(255)
+    return pictures.reshape(*batch, height // BLOCK, BLOCK, width // BLOCK, BLOCK, channels)
+
+
+def _block_means(pictures: UInt8[np.ndarray, "*batch height width 3"]) -> Float[np.ndarray, "*batch block"]:
+    means = in_blocks(pictures).mean(axis=(-4, -2), dtype=np.float32)
+    return means.reshape(*pictures.shape[:-3], -1) / np.float32(255)

@@ -20,7 +20,8 @@ from planspace.embed.mlp import forward
 from planspace.embed.networks import Transition, glorot_layers, positive
 from planspace.embed.objective import split_loss
 from planspace.embed.objectives.vae import AutoEncoder
-from planspace.embed.pixels.config import BLOCK, ImageFitConfig
+from planspace.embed.pixels.appearance import in_blocks
+from planspace.embed.pixels.config import ImageFitConfig
 from planspace.embed.pixels.convolution import to_input
 from planspace.embed.pixels.training import TrainedNetwork, adam, run_steps
 from planspace.embed.samples import Sample, Samples
@@ -271,6 +272,4 @@ def _read(network: TrainedNetwork, stacks: UInt8[Array, "stack height width chan
 
 def _blocks(stacks: Any) -> Any:
     """Means over blocks of pixels of one stack or of many, in NumPy or JAX."""
-    *batch, height, width, channels = stacks.shape
-    parts = to_input(stacks).reshape(*batch, height // BLOCK, BLOCK, width // BLOCK, BLOCK, channels)
-    return parts.mean(axis=(-4, -2))
+    return in_blocks(to_input(stacks)).mean(axis=(-4, -2))
