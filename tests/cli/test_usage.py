@@ -192,6 +192,15 @@ def test_doctor_explains_an_opengl_backend_that_breaks_mujoco() -> None:
     assert "MuJoCo cannot be imported (RuntimeError)  -> unset MUJOCO_GL, which is set to" in done.stdout
 
 
+def test_an_opengl_backend_that_breaks_mujoco_is_said_in_one_line() -> None:
+    code = "import sys; from planspace.cli import main; sys.exit(main(['plan', '--list']))"
+    environment = {**os.environ, "MUJOCO_GL": "nonsense"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.startswith("planspace: MuJoCo cannot be imported: unset MUJOCO_GL, which is set to")
+    assert done.stderr.count("\n") == 1
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     import planspace
 
