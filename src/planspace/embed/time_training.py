@@ -95,7 +95,7 @@ def fit_time_head(
             if not np.isfinite(violation):
                 raise PlanspaceError(
                     f"training of the time head diverged before step {first + count}; try a lower "
-                    "--time-learning-rate."
+                    "--time-learning-rate, in another folder."
                 )
             bar.update(count)
     weights, biases = (list(map(np.asarray, part)) for part in (state[0].weights, state[0].biases))

@@ -135,7 +135,9 @@ def run_steps(
             names = dict.fromkeys(name for terms in found for name in terms)
             means = {n: float(np.mean([terms[n] for terms in found if n in terms])) for n in names}
             if not np.isfinite(means["loss"]):
-                raise PlanspaceError(f"training diverged before step {first}: try a lower --learning-rate.")
+                raise PlanspaceError(
+                    f"training diverged before step {first}: try a lower --learning-rate, in another folder."
+                )
             append_rows(out / LOG, [{"step": first, "time": time.time(), **means}], key="step")
             save_checkpoint(out, state, {"step": first})
             bar.update(length)
