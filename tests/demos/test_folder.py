@@ -68,6 +68,14 @@ def test_errors_name_the_settings_that_differ(tmp_path: Path) -> None:
         DemoFolder(tmp_path, INFO, {"seed": 1})
 
 
+def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "log.jsonl").write_text("my notes\n")
+    (tmp_path / "thesis.tex").write_text("chapter 1\n")
+    with pytest.raises(PlanspaceError, match=r"not a demo dataset \(it holds 'thesis.tex'\); choose another"):
+        DemoFolder(tmp_path, INFO, {})
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.jsonl", "thesis.tex"]
+
+
 def test_errors_name_the_row_of_a_nan(tmp_path: Path) -> None:
     bad = episode(4)
     bad.states[3, 1] = np.nan

@@ -50,6 +50,18 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "demos"
 
 
+def test_a_refused_model_does_not_overwrite_that_of_the_dataset(dataset: Path, tmp_path: Path) -> None:
+    """It did, and the dataset could not be read any more."""
+    kept = shutil.copytree(dataset, tmp_path / "demos")
+    for name, text in (("mjcf/arm.xml", ARM), ("mjcf/look.xml", LOOK), ("meshes/link.obj", LINK + "\n")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "arm.yaml").write_text(PROBLEM)
+    with pytest.raises(PlanspaceError, match="contains demonstrations made with other settings"):
+        plan_demos(str(tmp_path / "arm.yaml"), 3, out=kept, workers=0, verbose=False)
+    assert load_demos(kept).hash == load_demos(dataset).hash
+
+
 def test_a_dataset_holds_the_files_of_its_model(dataset: Path) -> None:
     assert (dataset / "model" / "mjcf" / "arm.xml").read_text() == ARM
     source = load_demos(dataset).info.source

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from planspace.control.config import ControlConfig
+from planspace.demos.folder import LOG
 from planspace.demos.load import load_demos
 from planspace.errors import PlanspaceError
-from planspace.plan.demonstrations import LOG, simulated_steps
+from planspace.plan.demonstrations import simulated_steps
 from planspace.rl.algorithms import find_algorithm
 from planspace.rl.checks import check_uses_of_plans
 from planspace.study import execute as module

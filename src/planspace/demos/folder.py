@@ -8,6 +8,7 @@ DIR/log.jsonl                  dates, failures and simulated steps; not part of 
 """
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,8 +28,10 @@ from planspace.demos.tree_shards import FOLDER, read_trees, write_trees
 from planspace.errors import PlanspaceError
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import make_folder
+from planspace.storage.repair import PREFIX
 from planspace.storage.settings import list_differences
 
+LOG = "log.jsonl"
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """`DemoFolder.extend` closes a shard when it reaches this many demonstrations or states."""
 
@@ -53,13 +56,14 @@ class DemoFolder:
             upgrade: converts settings that an earlier version saved to today's names.
 
         Raises:
-            PlanspaceError: the folder cannot be written, or contains a dataset with other settings.
+            PlanspaceError: the folder cannot be written, or contains a dataset with other settings, or
+                something else.
         """
         self.path = make_folder(path)
         self._manifest = Manifest(info, settings)
-        if info.source is not None and not info.source.is_text:
-            info.source.write(path / MODEL_FOLDER)
-        if (path / MANIFEST).exists():
+        if not (path / MANIFEST).exists():
+            _refuse_other_files(path)
+        else:
             found = read_manifest(path)
             saved, plain = upgrade(found.settings), json.loads(json.dumps(settings))
             if saved != plain:
@@ -69,6 +73,8 @@ class DemoFolder:
                     "Choose another --out, or give the same settings to continue it."
                 )
             self._manifest = replace(found, info=info, settings=settings)
+        if info.source is not None and not info.source.is_text:
+            info.source.write(path / MODEL_FOLDER)
 
     @property
     def num_episodes(self) -> int:
@@ -113,6 +119,19 @@ class DemoFolder:
                 batch, num_states = [], 0
         if batch:
             self.append(batch, self.num_episodes + len(batch))
+
+
+def _refuse_other_files(path: Path) -> None:
+    """Refuse a folder without a manifest that holds more than an interrupted command leaves.
+
+    Raises:
+        PlanspaceError: it does.
+    """
+    own = re.compile(rf"[.].*|{PREFIX}.*|{MODEL_FOLDER}|{FOLDER}|{LOG}|{SHARD_NAME.pattern}")
+    if others := sorted(file.name for file in path.iterdir() if not own.fullmatch(file.name)):
+        raise PlanspaceError(
+            f"{path} is not empty and is not a demo dataset (it holds {others[0]!r}); choose another --out."
+        )
 
 
 def remove_damaged_shards(folder: Path) -> list[tuple[Path, str]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from planspace.demos.dataset import Demos
 from planspace.demos.episode import Episode
-from planspace.demos.folder import DemoFolder
+from planspace.demos.folder import LOG, DemoFolder
 from planspace.demos.load import load_demos
 from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
@@ -39,7 +39,6 @@ from planspace.tasks.problem_file import load_problem
 
 SHARD_EPISODES = 10
 """Plans per shard. A kill loses those since the last shard, Ctrl-C those after the first unfinished plan."""
-LOG = "log.jsonl"
 STEPS = "simulated_steps"
 """What the log calls the physics steps that planning took, see `Planned`; null if they were not counted."""
 TREE_SETTINGS = ("keep_trees", "tree_nodes")
