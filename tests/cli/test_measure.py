@@ -72,7 +72,11 @@ def test_other_demos_are_drawn_whole_and_json_stays_json(
     assert not (tmp_path / "p" / "training.png").exists()  # there is no log to draw
     (tmp_path / "file").touch()
     code, out, err = call(capsys, *command[:3], "--plot", tmp_path / "file")
-    assert (code, out) == (1, "") and "cannot write" in err and len(err.splitlines()) == 1
+    assert (
+        (code, out) == (1, "")
+        and "file is a file, and a folder is needed" in err
+        and len(err.splitlines()) == 1
+    )
 
 
 @pytest.mark.parametrize(

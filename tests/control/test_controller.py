@@ -169,6 +169,9 @@ def test_the_cost_time_is_the_time_to_the_goal(embedding: Embedding) -> None:
 def test_an_embedding_of_other_joints_is_refused(embedding: Embedding) -> None:
     with pytest.raises(UsageError, match="'slider' is missing"):
         Controller("pendulum", embedding)
+    degrees = replace(embedding, inputs=replace(embedding.inputs, units=("m", "deg", "m/s", "deg/s")))
+    with pytest.raises(UsageError, match="reads 'hinge' in deg, but here it is in rad"):
+        Controller("cartpole-swingup", degrees)
 
 
 def test_a_control_without_limits_is_refused(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -12,7 +13,7 @@ from planspace import load_embedding
 from planspace.embed.embedding import Embedding
 from planspace.embed.inputs import Inputs
 from planspace.embed.networks import GaussianNetwork, PlanSpaceModel
-from planspace.errors import PlanspaceError
+from planspace.errors import PlanspaceError, UsageError
 from planspace.storage.json_files import read_sealed, write_sealed
 
 NUMPY_TOLERANCE = 1e-5
@@ -47,6 +48,13 @@ def test_inputs_by_hand_and_their_inverse() -> None:
     expected = (np.array([0.5, np.sin(7.0), np.cos(7.0), -1.0, 2.0]) - 0.1) / 2.0
     np.testing.assert_allclose(INPUTS(state), expected)
     np.testing.assert_allclose(INPUTS.invert(INPUTS(state)), [0.5, 7.0 - 2 * np.pi, -1.0, 2.0])
+
+
+def test_states_in_another_unit_are_refused(embedding: Embedding) -> None:
+    degrees = replace(embedding, inputs=replace(INPUTS, units=("m", "deg", "m/s", "")))
+    assert degrees.columns_of(INPUTS.names) == degrees.columns_of(INPUTS.names, ("", "deg", "m/s", "rad/s"))
+    with pytest.raises(UsageError, match="reads 'theta' in deg, but here it is in rad; train it on"):
+        degrees.columns_of(("thetad", *INPUTS.names[:3]), ("rad/s", "m", "rad", "m/s"))
 
 
 def test_a_full_turn_does_not_change_z(embedding: Embedding) -> None:

@@ -254,6 +254,8 @@ def test_misfits_are_refused_at_construction(embedding_folder: Path, tmp_path: P
         PlanSpaceObservation(pendulum, embedding_folder, columns=[0, 1])
     with pytest.raises(UsageError, match="columns .* reach outside an observation of 3 numbers"):
         PlanSpaceObservation(pendulum, embedding_folder, columns=[0, 1, 2, 3])
+    with pytest.raises(UsageError, match=r"columns \[0, 1, 2, 2\] name 2 twice"):
+        PlanSpaceObservation(pendulum, embedding_folder, columns=[0, 1, 2, 2])
     with pytest.raises(UsageError, match="unknown mode 'both'. Known: augment, dict, replace"):
         PlanSpaceObservation(swing_up(), embedding_folder, mode="both")
     with pytest.raises(PlanspaceError, match="is not an embedding"):

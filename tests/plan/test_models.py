@@ -1,6 +1,5 @@
 """Planning over the models that people have: servos, closed loops, and MuJoCo's default time step."""
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,5 +183,6 @@ def test_a_node_in_the_goal_region_is_a_solution_if_the_goal_is_not_held() -> No
     free = replace(problem, hold=False)
     config = PlanConfig.for_problem(free, **quick)
     assert len(plan_demos(free, 1, config=config, workers=0, verbose=False)) == 1
-    with warnings.catch_warnings(), pytest.raises(PlanspaceError, match="goal cannot be held"):
+    unheld = pytest.warns(UserWarning, match="does not hold the robot at the goal: after 1 s, 'x' has moved")
+    with unheld, pytest.raises(PlanspaceError, match="goal cannot be held"):
         plan_demos(problem, 1, config=PlanConfig.for_problem(problem, **quick), workers=0, verbose=False)

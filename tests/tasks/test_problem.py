@@ -87,7 +87,18 @@ def test_an_unknown_problem_suggests_the_nearest() -> None:
         ("[slider, hinge]", "[slider, hing]", "unknown joint 'hing'. Did you mean 'hinge'"),
         ("model: cartpole.xml", "model: nowhere.xml", "cannot read .*nowhere.xml"),
         ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: [0.0, 0.0]", "goal must have 4 numbers, got 2"),
-        ("goal: [0.0,", "goal: [2.0,", "goal reaches outside the joint limits"),
+        ("goal: [0.0,", "goal: [2.0,", "goal: 'slider' must lie between -1 and 1, got 2 to 2.* joint limits"),
+        (
+            "goal: [0.0, 0.0,",
+            "goal: [0.0, 180,",
+            "goal: 'hinge' is an angle in radians, and 28.6 turns are too",
+        ),
+        ("[slider, hinge]", "[slider, hinge, slider]", "joints: 'slider' comes twice"),
+        (
+            "tolerance: 0.1",
+            "tolerance: 0.1\ngoal_weights: [0, 0, 0, 0]",
+            "goal_weights are all 0, so that every",
+        ),
         ("low: [-0.2,", "low: [0.9,", "a box needs low <= high"),
         ("goal: [0.0, 0.0, 0.0, 0.0]", "goal: up", "expected a list of numbers, got 'up'"),
         ("tolerance: 0.1", "tolerance: !!python/object/apply:os.getcwd []", "is not valid YAML"),
@@ -168,7 +179,9 @@ def test_a_joint_or_an_actuator_without_limits_needs_bounds(tmp_path: Path) -> N
     )
     (tmp_path / "free.xml").write_text(FREE_SLIDER)
     Path(path).write_text(text)
-    with pytest.raises(PlanspaceError, match="an actuator has no control range; give control_bounds"):
+    with pytest.raises(
+        PlanspaceError, match="the actuator 'push' has no control range; .*give control_bounds"
+    ):
         load_problem(path)
     text += "control_bounds: {low: [-1], high: [1]}\n"
     Path(path).write_text(text)

@@ -101,6 +101,7 @@ class Embed:
             tensorboard=self.tensorboard,
         )
         about = embedding.require_about()
-        seeds = ", ".join(map(str, about.settings.seeds))
-        print(f"seed {about.seed} saved in {self.out}, the best of {seeds}")
+        seeds = about.settings.seeds
+        best = f", the best of {', '.join(map(str, seeds))}" if len(seeds) > 1 else ""
+        print(f"seed {about.seed} saved in {self.out}{best}")
         print_columns("test split", {"z": about.metrics["test"], "raw state": about.metrics_raw_state})

@@ -131,7 +131,8 @@ def _metric(folder: Path, problem: "Problem") -> "PlanningMetric":
     from planspace.embed.saved_embedding import load_embedding
 
     embedding = load_embedding(folder)
-    return PlanningMetric(embedding, embedding.columns_of(problem.compile()[1].names))
+    space = problem.compile()[1]
+    return PlanningMetric(embedding, embedding.columns_of(space.names, space.units))
 
 
 def _named_problem(arguments: Sequence[str]) -> str | None:

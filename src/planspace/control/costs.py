@@ -44,7 +44,7 @@ def make_cost(plant: Plant, config: ControlConfig, target: np.ndarray, embedding
         raise UsageError(
             "the cost time needs an embedding with a time head: train it with `planspace embed --time-head`."
         )
-    columns = list(embedding.columns_of(plant.space.names))
+    columns = list(embedding.columns_of(plant.space.names, plant.space.units))
     between = {"z": embedding.distance, "raw": _input_distance(embedding), "time": embedding.time_to_go}
     measure = between[config.cost]
     goal = plant.goal(target)
@@ -75,7 +75,7 @@ def support_note(plant: Plant, config: ControlConfig, embedding: Embedding | Non
     support = None if embedding is None else embedding.support
     if embedding is None or support is None or config.cost not in ("z", "time") or plant.task.target_size:
         return None
-    columns = list(embedding.columns_of(plant.space.names))
+    columns = list(embedding.columns_of(plant.space.names, plant.space.units))
     away = float(support.distance(embedding.inputs(plant.goal(np.empty(0)).center[columns])))
     if away <= support.radius:
         return None

@@ -91,21 +91,30 @@ class Embedding:
         hidden = [(np.ascontiguousarray(w.T), b) for w, b in zip(weights[:-1], biases[:-1], strict=True)]
         return [*hidden, (np.ascontiguousarray(weight), bias)]
 
-    def columns_of(self, names: Sequence[str]) -> tuple[int, ...]:
+    def columns_of(self, names: Sequence[str], units: Sequence[str] = ()) -> tuple[int, ...]:
         """Find the columns that the embedding reads.
 
         Args:
             names: the names of a state's numbers.
+            units: their units, if they are known; `""` stands for one that is not.
 
         Raises:
-            UsageError: a state that the embedding reads is missing.
+            UsageError: a state that the embedding reads is missing, or has another unit.
         """
         if missing := [name for name in self.inputs.names if name not in names]:
             raise UsageError(
                 f"the embedding reads states of {self.state_dim} numbers ({', '.join(self.inputs.names)}), "
                 f"these have {len(names)} ({', '.join(names)}): {missing[0]!r} is missing."
             )
-        return tuple(list(names).index(name) for name in self.inputs.names)
+        columns = tuple(list(names).index(name) for name in self.inputs.names)
+        given = [units[column] for column in columns] if units else []
+        for name, own, unit in zip(self.inputs.names, self.inputs.units, given, strict=False):
+            if own and unit and own != unit:
+                raise UsageError(
+                    f"the embedding reads {name!r} in {own}, but here it is in {unit}; train it on "
+                    "demonstrations with these units."
+                )
+        return columns
 
     def encode(self, states: Float[np.ndarray, "*batch state"]) -> Float[np.ndarray, "*batch z"]:
         """Compute the mean of q(z|x), which agents observe.

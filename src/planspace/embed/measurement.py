@@ -148,8 +148,10 @@ def measure_embedding(
     Raises:
         PlanspaceError: the demonstrations lack a state that the embedding reads, numbers are too large to
             compute with, or `truth` or the embedding's own split does not fit.
+        UsageError: a state has another unit than the embedding reads.
     """
     used = demos.select(embedding.inputs.names)
+    embedding.columns_of(used.info.names, used.info.units)
     check_numbers("the demonstrations' states", used.states)
     with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
         z = embedding.encode(used.states)

@@ -61,7 +61,7 @@ class InputCheck:
             f"{outside:.0%} of the first {len(states)} states lie outside the demonstrations of the "
             f"embedding, where z is a guess{self._example(states)}.{known} If these numbers are normalised, "
             "or have other units or another order, wrap the environment before they are changed, or give "
-            "other `columns`. Otherwise the agent is where no demonstration was.",
+            "other `columns`. If they are right, the demonstrations do not cover these states.",
             stacklevel=5,  # what called `step`
         )
 

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from planspace.embed.embedding import Embedding
-from planspace.envs.columns import Column, Environment, read_columns
+from planspace.envs.columns import Column, Environment, FlatColumns, read_columns
 from planspace.errors import UsageError
 from planspace.tasks.env_state import JointReader, joint_reader
 
@@ -78,9 +78,9 @@ def state_source(
                 f"the environment has {len(names)} `state_names`, but {np.size(state)} numbers in its "
                 f"attribute `state`. {_columns_help(embedding)}"
             )
-        return _Attribute(inner, _found(embedding, names))
+        return _Attribute(inner, _found(embedding, names, _units(inner, names)))
     if reader := joint_reader(env):
-        return _Joints(reader, _found(embedding, reader.names))
+        return _Joints(reader, _found(embedding, reader.names, reader.units))
     raise UsageError(
         "the states cannot be read: the environment has neither attributes `state` and `state_names` nor "
         f"MuJoCo's `model` and `data`. {_columns_help(embedding)}"
@@ -110,7 +110,7 @@ def vector_state_source(
             f"{_columns_help(embedding)} Or wrap each single environment in PlanSpaceObservation, which "
             "can also read MuJoCo's data."
         )
-    return _Info(_found(embedding, names))
+    return _Info(_found(embedding, names, _units(env.unwrapped, names)))
 
 
 def source_of_columns(
@@ -132,6 +132,9 @@ def source_of_columns(
     reader = read_columns(env, space, columns)
     if len(columns) != embedding.state_dim:
         raise UsageError(f"{_wanted(embedding)}, got {len(columns)} columns.")
+    places = reader.columns if isinstance(reader, FlatColumns) else reader.places
+    if twice := [column for i, column in enumerate(columns) if places[i] in places[:i]]:
+        raise UsageError(f"columns {list(columns)} name {twice[0]!r} twice; {_wanted(embedding)}.")
     return reader
 
 
@@ -144,10 +147,16 @@ def _names_of_vector(inner: Any) -> Sequence[str] | None:
         return None
 
 
-def _found(embedding: Embedding, names: Sequence[str]) -> list[int]:
+def _units(inner: Any, names: Sequence[str]) -> list[str]:
+    """The units of a state's numbers: environments of planspace know them."""
+    fields = getattr(inner, "state_fields", {})
+    return [fields.get(name, "") for name in names] if isinstance(fields, dict) else []
+
+
+def _found(embedding: Embedding, names: Sequence[str], units: Sequence[str]) -> list[int]:
     """Return where each number of the embedding's state is among these names."""
     try:
-        return list(embedding.columns_of(names))
+        return list(embedding.columns_of(names, units))
     except UsageError as error:
         raise UsageError(f"{error} {_columns_help(embedding)}") from None
 

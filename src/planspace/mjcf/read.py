@@ -89,6 +89,8 @@ def _delayed_controls(model: mujoco.MjModel, key: int, left: set[str]) -> list[f
 
 def _find_keyframe(model: mujoco.MjModel, name: str) -> int:
     names = [model.key(i).name for i in range(model.nkey)]
+    if not names:
+        raise UsageError(f"the keyframe {name!r} does not exist: the model has no keyframes.")
     if name not in names:
         raise unknown("keyframe", name, names)
     return names.index(name)

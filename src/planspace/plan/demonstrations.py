@@ -23,7 +23,7 @@ from planspace.physics.simulator import Simulator
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig, find_planner
 from planspace.plan.durations import in_seconds
 from planspace.plan.metric import Metric, describe_metric
-from planspace.plan.pipeline import MAX_ATTEMPTS
+from planspace.plan.pipeline import MAX_ATTEMPTS, Pipeline
 from planspace.plan.planner import Failure, check_problem
 from planspace.plan.planners import PLANNERS
 from planspace.plan.sst import SST
@@ -136,7 +136,8 @@ def plan_into(
     config = config or PlanConfig.for_problem(problem)
     folder = _plan_missing(problem, out, num, seed, config, workers)
     if report := _report_failures(folder):
-        raise PartialResult(f"{report} The other {folder.num_episodes} are saved in {folder.path}.")
+        saved = f" The other {folder.num_episodes} are saved in {folder.path}." if folder.num_episodes else ""
+        raise PartialResult(report + saved)
     return folder
 
 
@@ -206,9 +207,20 @@ def _plan_missing(
         folder = DemoFolder(out, info, settings, upgrade=upgrade)
         remaining = range(folder.next_index, num)
         if remaining:
+            _warn_of_unrest(problem, config)
             with closing(plan_all(problem, config, seed, remaining, workers)) as plans:  # kills the workers
                 _extend(folder, remaining, plans)
     return folder
+
+
+def _warn_of_unrest(problem: Problem, config: PlanConfig) -> None:
+    """Warn before a long search if the regulator does not hold the goal itself."""
+    if unrest := Pipeline(problem, config).describe_unrest():
+        warnings.warn(
+            f"problem {problem.name}: the regulator does not hold the robot at the goal: {unrest}. If no "
+            "plan is found, give a goal at which the robot can rest, or `hold: false`.",
+            stacklevel=4,
+        )
 
 
 def _extend(folder: DemoFolder, remaining: range, plans: Iterator[Planned]) -> None:

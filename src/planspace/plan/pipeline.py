@@ -21,7 +21,7 @@ from planspace.plan.linearise import at_rest
 from planspace.plan.motors import limit_accelerations
 from planspace.plan.planner import PAGE, Failure, Plan, search
 from planspace.plan.polish import Polish
-from planspace.plan.proof import replay_plan
+from planspace.plan.proof import describe_unrest, replay_plan
 from planspace.plan.query import Query
 from planspace.plan.regulator import Regulator
 from planspace.plan.shortcut import Shortcut, has_contacts
@@ -82,6 +82,13 @@ class Pipeline:
                 return self._with_tree(episode, found.tree, seed) if self.config.keep_trees else episode
             nearest, reason = min(nearest, found.nearest), found.reason
         return Failure(reason, nearest)
+
+    def describe_unrest(self) -> str:
+        """Say how the robot leaves a goal that is to be held; empty if it does not, or goals are drawn."""
+        if not self.problem.hold or self.problem.goal_random or self.problem.kinematic:
+            return ""
+        goal = at_rest(self.simulator, self.problem.draw_goal(self.space, np.random.default_rng(0)))
+        return describe_unrest(self.query(goal.center, goal))
 
     def connect(
         self, start: Float[np.ndarray, " state"], goal: Goal, rng: np.random.Generator

@@ -40,7 +40,9 @@ def replay_plan(query: Query, controls: Float[np.ndarray, "step control"]) -> Tr
         return Failure("the path leaves what is valid when replayed", nearest)
     num_steps = len(path) - 1
     if query.problem.hold and not _holds(query, data, path[-1], controls[num_steps:]):
-        return Failure("the goal cannot be held (hold: false plans without)", nearest)
+        return Failure(
+            "the goal cannot be held; `hold: false` in the problem file drops this requirement", nearest
+        )
     return Trajectory(path, controls[:num_steps])
 
 
@@ -55,6 +57,22 @@ def _holds(query: Query, data: mujoco.MjData, state: np.ndarray, rest: np.ndarra
         held += [advance(model, data, space, control) for _ in range(stride)]
     valid = not _has_warnings(data) and _all_valid(query.simulator, np.stack(held))
     return valid and bool(query.goal.reached(held[-1]))
+
+
+def describe_unrest(query: Query) -> str:
+    """Say where the robot is after the regulator tried to hold the centre of the goal; empty if it holds it.
+
+    A plan may still be held elsewhere in the goal region, so this does not mean that there is none.
+    """
+    space, data = query.space, mujoco.MjData(query.model)
+    space.write_data(query.goal.center, data)
+    if _holds(query, data, query.goal.center, np.empty((0, len(query.regulator.hold_control)))):
+        return ""
+    moved = space.read_data(data) - query.goal.center
+    column = int(np.argmax(np.abs(moved) * (np.arange(space.size) < space.num_positions)))
+    return (
+        f"after {query.regulator.config.hold_s:g} s, {space.names[column]!r} has moved by {moved[column]:.3g}"
+    )
 
 
 def _has_warnings(data: mujoco.MjData) -> bool:

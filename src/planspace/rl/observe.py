@@ -122,9 +122,9 @@ class Observer:
     @cached_property
     def _embedded_columns(self) -> list[list[int]]:
         """The columns of the task's state that each embedding reads."""
-        names = self.task.state_names
+        names, units = self.task.state_names, self.task.state_units
         try:
-            return [list(embedding.columns_of(names)) for embedding in self.embeddings]
+            return [list(embedding.columns_of(names, units)) for embedding in self.embeddings]
         except UsageError as error:
             raise UsageError(f"task {self.task.name}: {error}") from None
 

@@ -25,7 +25,7 @@ from planspace.rl.observe import Observer
 from planspace.rl.pixels import PixelObservations
 from planspace.rl.saved_policy import Policy
 from planspace.tasks.action_repeat import repeat_actions, single_actions
-from planspace.tasks.catalog import find_task
+from planspace.tasks.catalog import GYM_PREFIX, find_task
 from planspace.tasks.dm_control.suite import DMC_PREFIX
 from planspace.tasks.gymnasium import AnyTask, GymTask, parse_gym_task
 from planspace.tasks.stored_task import stored_task, task_content
@@ -73,7 +73,7 @@ def _task_of(policy: Policy, task: AnyTask | None) -> AnyTask:
     if task is None:
         raise UsageError(
             f"{policy.run} was trained on {name!r}, a task of your own: pass the task (`--task "
-            "module.py:NAME`)."
+            f"{name if name.startswith(GYM_PREFIX) else 'module.py:NAME'}`)."
         )
     if task.name != name:
         raise UsageError(f"{policy.run} was trained on the task {name!r}, got {task.name!r}.")

@@ -44,7 +44,8 @@ class Progress:
                 "--reward progress needs an embedding with a time head: train it with `planspace embed "
                 "--time-head` and give --embedding DIR."
             )
-        columns = tuple(list(embedding.columns_of(task.state_names)) for embedding in embeddings)
+        fields = task.state_names, task.state_units
+        columns = tuple(list(embedding.columns_of(*fields)) for embedding in embeddings)
         return cls(goals, embeddings, columns, config.num_seeds)
 
     def __call__(

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from planspace.embed.embedding import Embedding, norm
 from planspace.errors import UsageError
+from planspace.physics.space import StateSpace
 from planspace.rl.config import TrainConfig
 from planspace.rl.rollout import ShapeFn
 from planspace.rl.task_goal import fixed_goal
@@ -64,7 +65,7 @@ class Shaping:
             distances = (distance,)
         elif embeddings:
             measure = _distance_in_z if config.shaping == "z" else _time_to_go
-            distances = tuple(measure(each, space.names, goal.center) for each in embeddings)
+            distances = tuple(measure(each, space, goal.center) for each in embeddings)
         else:
             raise UsageError(f"shaping by {config.shaping!r} needs an embedding: give --embedding DIR.")
         return cls(task, distances, config.num_seeds, config.shaping_scale)
@@ -109,9 +110,9 @@ class Shaping:
 
 
 def _distance_in_z(
-    embedding: Embedding, names: tuple[str, ...], goal: np.ndarray
+    embedding: Embedding, space: StateSpace, goal: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    columns = list(embedding.columns_of(names))
+    columns = list(embedding.columns_of(space.names, space.units))
     z_goal = embedding.encode(goal[columns])
 
     def distance(states: np.ndarray) -> np.ndarray:
@@ -121,14 +122,14 @@ def _distance_in_z(
 
 
 def _time_to_go(
-    embedding: Embedding, names: tuple[str, ...], goal: np.ndarray
+    embedding: Embedding, space: StateSpace, goal: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
     if embedding.time_head is None:
         raise UsageError(
             "shaping by 'time' needs an embedding with a time head: train it with `planspace embed "
             "--time-head` and give --embedding DIR."
         )
-    columns = list(embedding.columns_of(names))
+    columns = list(embedding.columns_of(space.names, space.units))
 
     def distance(states: np.ndarray) -> np.ndarray:
         return np.asarray(embedding.time_to_go(states[..., columns], goal[columns]), float)

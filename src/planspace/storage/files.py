@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from planspace.errors import PlanspaceError
 from planspace.storage.checks import MAX_BYTES, check_file, explain_read, explain_write
 
 TEMPORARY_PREFIX = ".writing-"
@@ -119,6 +120,8 @@ def make_folder(path: Path) -> Path:
     Raises:
         PlanspaceError: the folder cannot be made or written.
     """
+    if path.is_file():
+        raise PlanspaceError(f"{path} is a file, and a folder is needed; choose another path.")
     with explain_write(path):
         missing = [folder for folder in (path, *path.parents) if not folder.exists()]
         path.mkdir(parents=True, exist_ok=True)

@@ -83,6 +83,8 @@ def find_task(task: str | Path | Task) -> Task:
         return task_of_problem(load_problem(task))
     if Path(f"{name}.yaml").is_file():
         raise UsageError(f"unknown task {quoted(name)}. Did you mean the problem file {name}.yaml?")
+    if Path(name).is_file():
+        raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
     raise unknown("task", name, task_names())
 
 

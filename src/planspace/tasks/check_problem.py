@@ -10,6 +10,9 @@ from planspace.physics.space import StateSpace
 from planspace.physics.supported import check_supported
 from planspace.tasks.problem import Box, Goal, Problem
 
+MAX_TURNS = 2
+"""A larger angle in a start or a goal is taken for degrees."""
+
 
 def check_problem(problem: Problem, where: str) -> None:
     """Check that a problem fits its model and that its goal can be entered.
@@ -29,6 +32,8 @@ def check_problem(problem: Problem, where: str) -> None:
         check_supported(model)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
+    if twice := [name for i, name in enumerate(problem.joints) if name in problem.joints[:i]]:
+        raise PlanspaceError(f"{where}: joints: {twice[0]!r} comes twice.")
     moving = [model.joint(i).name for i in range(model.njnt)]
     left_out = [name for name in moving if name not in problem.joints]
     if left_out:
@@ -67,9 +72,33 @@ def _check_sizes(problem: Problem, space: StateSpace, where: str) -> None:
             raise PlanspaceError(f"{where}: {key} must have {wanted} numbers{also}, got {len(got)}.")
     for key in ("start", "goal"):
         box = problem.box(key, space)
-        if not space.in_bounds(space.normalise(np.array([box.low, box.high]))).all():
-            raise PlanspaceError(f"{where}: {key} reaches outside the joint limits or the velocity bound.")
+        _check_bounds(key, box, space, where)
         _check_activations(key, box, space, where)
+    if problem.goal_weights and not any(problem.goal_weights):
+        raise PlanspaceError(f"{where}: goal_weights are all 0, so that every state would be at the goal.")
+
+
+def _check_bounds(key: str, box: Box, space: StateSpace, where: str) -> None:
+    """Check that a box is within the bounds, that angles are not degrees, and that quaternions are not 0."""
+    sides = np.array([box.low, box.high])
+    for column in space.circular_columns:
+        if (turns := np.abs(sides[:, column]).max() / (2 * np.pi)) > MAX_TURNS:
+            raise PlanspaceError(
+                f"{where}: {key}: {space.names[column]!r} is an angle in radians, and {turns:.3g} turns are "
+                "too many; convert degrees."
+            )
+    for column in space.quaternion_columns:
+        if not sides[:, column : column + 4].any():
+            raise PlanspaceError(f"{where}: {key}: {space.names[column]!r} begins a quaternion of length 0.")
+    low, high = space.ranges(space.velocity_bound)
+    outside = ((sides < low) | (sides > high))[:, : space.velocities.stop]
+    for column in np.flatnonzero(outside.any(axis=0)):
+        raise PlanspaceError(
+            f"{where}: {key}: {space.names[column]!r} must lie between {low[column]:g} and {high[column]:g}, "
+            f"got {box.low[column]:g} to {box.high[column]:g}. These are the joint limits or velocity_bound."
+        )
+    if not space.in_bounds(space.normalise(sides)).all():
+        raise PlanspaceError(f"{where}: {key} reaches outside the joint limits or the velocity bound.")
 
 
 def _check_activations(key: str, box: Box, space: StateSpace, where: str) -> None:
@@ -94,8 +123,12 @@ def _check_limits(model: mujoco.MjModel, space: StateSpace, where: str) -> None:
         raise PlanspaceError(
             f"{where}: the model has no actuator that moves these joints, so there is nothing to control."
         )
-    if not np.isfinite(control_bounds(model, space)).all():
-        raise PlanspaceError(f"{where}: an actuator has no control range; give control_bounds.")
+    for i in np.flatnonzero(~np.isfinite(control_bounds(model, space)).all(axis=0)):
+        name = model.actuator(i).name
+        raise PlanspaceError(
+            f"{where}: the actuator {repr(name) if name else i} has no control range; give it a ctrlrange in "
+            "the model, or give control_bounds."
+        )
     low, high = space.ranges(space.velocity_bound)
     free = [part for part in space.layout if part.kind in ("slide", "hinge", "activation")]
     free = [part for part in free if not np.isfinite([low[part.state], high[part.state]]).all()]

@@ -58,6 +58,11 @@ class JointReader:
         """Name of each number, as in a planning state, and `KEY_0`, `KEY_1`, ... for the other entries."""
         return (*self.space.names, *(f"{key}_{i}" for key, size in self.others.items() for i in range(size)))
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each number; empty for the other entries."""
+        return (*self.space.units, *("" for _ in range(len(self.names) - len(self.space.units))))
+
     def __call__(self) -> Float[np.ndarray, " state"]:
         """Return the current state."""
         found = mujoco_of(self.env)

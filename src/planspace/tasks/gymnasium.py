@@ -105,6 +105,11 @@ class GymTask:
         """Name of each number of the state: the observation, then the state of the environment or joints."""
         return (*self.sizes.obs_names, *self.sizes.other_names)
 
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Unit of each number of the state: none is known."""
+        return ("",) * len(self.state_names)
+
     def fields(self, obs_type: ObservationType) -> dict[str, str]:
         """Return the name and unit of each number of an observation, in order; units are not known."""
         return dict.fromkeys(self.sizes.obs_names, "")

@@ -4,6 +4,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import os
+from pathlib import Path
 
 import gymnasium
 
@@ -39,7 +40,10 @@ def registered_id(given: str, task: str) -> str:
         try:
             importlib.import_module(module)
         except Exception as error:  # whatever the user's module raises
-            raise UsageError(f"{task}: importing {module} failed: {type(error).__name__}: {error}") from error
+            hint = " If it is in this folder, set PYTHONPATH=." if Path(f"{module}.py").is_file() else ""
+            raise UsageError(
+                f"{task}: importing {module} failed: {type(error).__name__}: {error}.{hint}"
+            ) from error
     elif env_id not in gymnasium.registry:
         for provider in _providers(env_id):
             _import_provider(provider, task)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planspace.errors import PlanspaceError, UsageError, unknown
+from planspace.errors import PlanspaceError, UsageError, quoted, unknown
 from planspace.mjcf.assets import ASSETS
 from planspace.mjcf.compile import load_model
 from planspace.mjcf.read import read_keyframe, read_model
@@ -73,6 +73,8 @@ def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> P
         return _read_problem(Path(name), read_model_in_subprocess if untrusted else read_model)
     if Path(name).is_file():
         raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
+    if Path(f"{name}.yaml").is_file():
+        raise UsageError(f"unknown problem {quoted(name)}. Did you mean the problem file {name}.yaml?")
     raise unknown("problem", name, shipped_problems())
 
 

@@ -32,6 +32,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         problem = " ".join(str(error).replace(f'in "{BYTES}", ', "at ").split())
         raise PlanspaceError(f"{path} is not valid YAML: {problem}") from error
+    if settings is None:
+        raise PlanspaceError(f"{path} is empty; it must hold keys and values.")
     if not isinstance(settings, dict):
         raise PlanspaceError(f"{path} must hold keys and values, got a {type(settings).__name__}.")
     if not all(isinstance(key, str) for key in settings):

@@ -214,6 +214,11 @@ class Task:
         return self.space.names
 
     @property
+    def state_units(self) -> tuple[str, ...]:
+        """Unit of each number of a state."""
+        return self.space.units
+
+    @property
     def obs_types(self) -> tuple[ObservationType, ...]:
         """The observation types that the task has."""
         return OBSERVATION_TYPES

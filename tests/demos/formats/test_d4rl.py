@@ -12,7 +12,7 @@ def test_episodes_are_cut_at_terminals_and_timeouts(tmp_path: Path, capsys) -> N
     write_d4rl(tmp_path / "a.hdf5")
     demos = load(tmp_path)
     assert capsys.readouterr().err == (
-        "the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.\n"
+        "the file does not record its time step: 1 s is assumed; `demos import --dt SECONDS` sets it.\n"
         "1 of 3 episodes have one state: left out.\n"
     )
     assert demos.info.names == ("qpos0", "qpos1", "qvel0")

@@ -79,7 +79,7 @@ def test_read_a_dataset_that_planspace_did_not_write(minari, tmp_path: Path, cap
     assert demos.states.tolist() == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
     assert demos.controls.tolist() == [[7], [8]]
     assert demos.times.tolist() == [0, 1, 2]
-    assert "1 s is assumed; --dt SECONDS sets it" in capsys.readouterr().err
+    assert "1 s is assumed; `demos import --dt SECONDS` sets it" in capsys.readouterr().err
 
 
 def test_choose_states_and_time_step(minari, tmp_path: Path, capsys) -> None:

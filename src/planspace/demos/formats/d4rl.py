@@ -57,7 +57,9 @@ def read_d4rl(sources: Sequence[str], info: StateInfo | None, options: ImportOpt
             info = _info(arrays, options)
     notices = []
     if options.dt is None:
-        notices.append("the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.")
+        notices.append(
+            "the file does not record its time step: 1 s is assumed; `demos import --dt SECONDS` sets it."
+        )
     whole = [(a, b) for a, b in bounds if b - a >= 2]
     if len(whole) < len(bounds):
         notices.append(f"{len(bounds) - len(whole)} of {len(bounds)} episodes have one state: left out.")

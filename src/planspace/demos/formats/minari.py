@@ -158,7 +158,9 @@ def _step(
     step = metadata.get(STEP_KEY)
     if isinstance(step, int | float) and 0 < step < np.inf:
         return float(step), ()
-    return 1.0, ("the dataset does not record its time step: 1 s is assumed; --dt SECONDS sets it.",)
+    return 1.0, (
+        "the dataset does not record its time step: 1 s is assumed; `demos import --dt SECONDS` sets it.",
+    )
 
 
 def _our_episode(

@@ -144,7 +144,9 @@ def _read_file(path: Path, options: ImportOptions) -> _Recorded:
         step = options.dt or environment.step
         if step is None and not has_time:
             step = 1.0
-            notices.append("the file does not record its time step: 1 s is assumed; --dt SECONDS sets it.")
+            notices.append(
+                "the file does not record its time step: 1 s is assumed; `demos import --dt SECONDS` sets it."
+            )
         return _Recorded(path, demos, own, num_controls, has_time, step, False, tuple(notices), masks)
 
 

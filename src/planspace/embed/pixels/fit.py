@@ -118,7 +118,7 @@ class _Request:
 def _fit(request: _Request, out: Path) -> ImageEncoder:
     names = request.demos.info.names
     if request.teacher is not None:
-        request.teacher.columns_of(names)
+        request.teacher.columns_of(names, request.demos.info.units)
     for other in request.visited:
         if other.info.names != names:
             raise UsageError(
