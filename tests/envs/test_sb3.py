@@ -11,6 +11,7 @@ from gymnasium.vector import SyncVectorEnv
 from planspace.embed.embedding import Embedding
 from planspace.envs.wrappers import PlanSpaceObservation
 from planspace.errors import UsageError
+from planspace.mjcf.assets import ASSETS
 
 pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
 
@@ -80,6 +81,15 @@ def test_it_can_be_normalised_seeded_drawn_and_started_anywhere(embedding: Embed
     assert not env.has_attr("no_such_thing")
     assert env.env_is_wrapped(PlanSpaceObservation) == [False] * 3
     env.close()
+
+
+def test_a_task_or_a_problem_file_stands_for_its_id() -> None:
+    registered, named, own = (
+        make_vec_env(env_id, 2, 5) for env_id in (SWING_UP, "cartpole-swingup", ASSETS / "pendulum.yaml")
+    )
+    np.testing.assert_array_equal(registered.reset(), named.reset())
+    own.reset()
+    assert own.step(np.zeros((2, 1)))[0].shape == (2, 2)
 
 
 def test_misfits_are_refused() -> None:

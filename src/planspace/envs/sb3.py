@@ -1,5 +1,6 @@
 """Vector environments for Stable-Baselines3, which cannot use those of Gymnasium (extra `sb3`)."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from planspace.embed.embedding import Embedding
 from planspace.envs.final_observations import last_observation
+from planspace.envs.make import make_env
 from planspace.envs.observation_wrappers import PlanSpaceVectorObservation
 from planspace.errors import PlanspaceError, UsageError, install_command
 
@@ -21,9 +23,12 @@ except ImportError as error:
         "install the CPU build of torch first."
     ) from error
 
+VERSIONED = re.compile(r"-v\d+$")
+"""How a Gymnasium id ends."""
+
 
 def make_vec_env(
-    env_id: str,
+    env_id: str | Path,
     n_envs: int = 1,
     seed: int | None = None,
     embedding: str | Path | Embedding | None = None,
@@ -36,7 +41,8 @@ def make_vec_env(
     Like SB3's function of the same name, it monitors episodes. Wrap it in `VecNormalize` as usual.
 
     Args:
-        env_id: the task's Gymnasium id, such as `planspace/CartPoleSwingUp-v0`.
+        env_id: the task's Gymnasium id, such as `planspace/CartPoleSwingUp-v0`, or what `planspace.make_env`
+            takes: the name of a task or the path of a problem file (`.yaml`).
         n_envs: number of environments.
         seed: the seed of the random streams; None draws one.
         embedding: an embedding or its folder, to show the agent z.
@@ -48,18 +54,29 @@ def make_vec_env(
         UsageError: an argument is wrong; see `TaskVectorEnv` and `PlanSpaceVectorObservation`.
         PlanspaceError: the embedding cannot be loaded.
     """
+    arguments = {"autoreset_mode": AutoresetMode.SAME_STEP.value, **(env_kwargs or {})}  # JSON has no enum
+    if VERSIONED.search(str(env_id)):
+        env = _make_registered(str(env_id), n_envs, arguments)
+    else:
+        env = make_env(env_id, n_envs, **arguments)
+    if embedding is not None:
+        env = PlanSpaceVectorObservation(env, embedding, mode)
+    ours = GymnasiumVecEnv(env)
+    if seed is not None:
+        ours.seed(seed)
+    return VecMonitor(ours, None if monitor_file is None else str(monitor_file))
+
+
+def _make_registered(env_id: str, n_envs: int, arguments: dict[str, Any]) -> VectorEnv[Any, Any, Any]:
+    """The vector environment of a Gymnasium id."""
     if gymnasium.spec(env_id.rpartition(":")[2]).vector_entry_point is None:
         raise UsageError(
             f"{env_id} has no vector environment; use SB3's own make_vec_env for it, with "
             "wrapper_class=PlanSpaceObservation if an agent is to see z."
         )
     try:
-        env: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
-            env_id,
-            num_envs=n_envs,
-            vectorization_mode="vector_entry_point",
-            autoreset_mode=AutoresetMode.SAME_STEP.value,  # the spec's JSON cannot hold an enum
-            **(env_kwargs or {}),
+        return gymnasium.make_vec(
+            env_id, num_envs=n_envs, vectorization_mode="vector_entry_point", **arguments
         )
     except TypeError as error:
         if "autoreset_mode" not in str(error):
@@ -69,12 +86,6 @@ def make_vec_env(
             "use SB3's own make_vec_env for it, with wrapper_class=PlanSpaceObservation if an agent is to "
             "see z."
         ) from error
-    if embedding is not None:
-        env = PlanSpaceVectorObservation(env, embedding, mode)
-    ours = GymnasiumVecEnv(env)
-    if seed is not None:
-        ours.seed(seed)
-    return VecMonitor(ours, None if monitor_file is None else str(monitor_file))
 
 
 class GymnasiumVecEnv(VecEnv):
