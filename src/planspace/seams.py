@@ -124,6 +124,22 @@ def check_field_types(given: Any) -> None:
             check_setting(name, value, isinstance(value, types) and is_bool == (hint is bool), wanted)
 
 
+def check_kind(name: str, given: Any, kind: type, advice: str = "") -> None:
+    """Check the type of an argument; None passes.
+
+    Args:
+        name: the argument.
+        given: its value.
+        kind: the class that it must have.
+        advice: what to do, at the end of the message.
+
+    Raises:
+        UsageError: it has another type.
+    """
+    if given is not None and not isinstance(given, kind):
+        raise UsageError(f"`{name}` must be {article(kind.__name__)}, got {quoted(given)}{advice}.")
+
+
 def article(noun: str, *, capital: bool = False) -> str:
     """A noun with its indefinite article, for messages."""
     word = "an" if noun[0] in "AEIOU" else "a"

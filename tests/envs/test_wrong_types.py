@@ -77,6 +77,9 @@ CASES = {
     "planspace.ControlConfig(spline='x')": "UsageError: unknown spline 'x'.",
     "control(config={})": "UsageError: `config` must be a ControlConfig, got {}.",
     "control(plans='pendulum')": "UsageError: `plans` must be a Demos, got 'pendulum': load them first.",
+    "planspace.fit_embedding('plans')": "UsageError: `demos` must be a Demos, got 'plans': load them first.",
+    "planspace.measure_embedding(folder, None)": "UsageError: `embedding` must be an Embedding, got '",
+    "planspace.measure_embedding(embedding, [])": "UsageError: `demos` must be a Demos, got []: load them",
     "np.testing.assert_array_equal(*map(embedding.encode, ([0, 1, 0, 0], [0.0, 1.0, 0.0, 0.0])))": "accepted",
 }
 

@@ -20,7 +20,7 @@ from planspace.control.takeover import Takeover
 from planspace.demos.dataset import Demos
 from planspace.embed.embedding import Embedding
 from planspace.errors import UsageError, quoted
-from planspace.seams import article
+from planspace.seams import check_kind
 from planspace.tasks.problem import Problem
 from planspace.tasks.task import Task
 
@@ -61,9 +61,9 @@ class Controller:
             UsageError: problem, embedding and settings do not fit together.
         """
         self.config = ControlConfig() if config is None else config
-        _check_kind("embedding", embedding, Embedding, ": load it first")
-        _check_kind("config", config, ControlConfig)
-        _check_kind("plans", plans, Demos, ": load them first")
+        check_kind("embedding", embedding, Embedding, ": load it first")
+        check_kind("config", config, ControlConfig)
+        check_kind("plans", plans, Demos, ": load them first")
         self.plant = Plant.find(problem).repeating(self.config.action_repeat)
         self.embedding = embedding
         num = max(self.config.samples, NUM_POLICIES) if self.config.ilqr_rounds else self.config.samples
@@ -242,12 +242,6 @@ class Controller:
         states[diverged] = state
         costs = self._cost(states, controls) + config.invalid_cost * invalid / self.num_steps
         return states, controls, np.where(diverged, np.inf, costs)
-
-
-def _check_kind(name: str, given: Any, kind: type, advice: str = "") -> None:
-    if given is not None and not isinstance(given, kind):
-        what = article(kind.__name__)
-        raise UsageError(f"`{name}` must be {what}, got {quoted(given)}{advice}.")
 
 
 def _finite(given: Any, size: int) -> Float[np.ndarray, " number"] | None:

@@ -32,6 +32,7 @@ from planspace.storage.repair import PREFIX
 from planspace.storage.settings import list_differences
 
 LOG = "log.jsonl"
+"""The name of the log, which planning writes."""
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """`DemoFolder.extend` closes a shard when it reaches this many demonstrations or states."""
 

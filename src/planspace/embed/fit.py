@@ -38,7 +38,7 @@ from planspace.embed.time_training import fit_time_head
 from planspace.embed.training import train
 from planspace.errors import PlanspaceError, UsageError
 from planspace.progress import progress_shown
-from planspace.seams import plain_settings
+from planspace.seams import check_kind, plain_settings
 from planspace.storage.files import write_bytes
 from planspace.storage.provenance import Provenance
 from planspace.storage.rows import append_rows
@@ -98,6 +98,7 @@ def fit_embedding(  # noqa: PLR0913 - the public call, all but two arguments by 
             diverged.
         UsageError: a name is unknown, or the objective does not fit `Objective`.
     """
+    check_kind("demos", demos, Demos, ": load them first")
     config = config or PRESETS["modern"]
     config = replace(config, objective=as_objective(config.objective))
     if objective is not None:

@@ -28,6 +28,7 @@ from planspace.embed.true_times import TrueTimes, Truth, check_truth, compare_wi
 from planspace.embed.verdict import Verdict, judge
 from planspace.errors import PlanspaceError
 from planspace.progress import progress, progress_shown
+from planspace.seams import check_kind
 from planspace.summary import html_summary, text_summary
 
 
@@ -148,8 +149,10 @@ def measure_embedding(
     Raises:
         PlanspaceError: the demonstrations lack a state that the embedding reads, numbers are too large to
             compute with, or `truth` or the embedding's own split does not fit.
-        UsageError: a state has another unit than the embedding reads.
+        UsageError: a state has another unit than the embedding reads, or an argument has another type.
     """
+    check_kind("embedding", embedding, Embedding, ": load it first")
+    check_kind("demos", demos, Demos, ": load them first")
     used = demos.select(embedding.inputs.names)
     embedding.columns_of(used.info.names, used.info.units)
     check_numbers("the demonstrations' states", used.states)
