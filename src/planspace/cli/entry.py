@@ -18,7 +18,6 @@ import tyro
 from planspace.cli.help_texts import set_help_texts
 from planspace.cli.interrupts import Interrupted, interruptible
 from planspace.errors import PlanspaceError, UsageError, printable
-from planspace.physics.rendering import rendering_advice
 
 EXIT_FAILURE, EXIT_INTERRUPTED = 1, 130
 PROGRAM = "planspace"
@@ -152,6 +151,8 @@ def _message(error: Exception) -> str:
     if isinstance(error, MemoryError) or any(sign in str(error) for sign in OUT_OF_MEMORY):
         return "not enough memory for this command: try smaller numbers, for example of samples or seeds."
     if isinstance(error, RuntimeError) and "MUJOCO_GL" in str(error):
+        from planspace.physics.rendering import rendering_advice  # here, so that `--help` answers at once
+
         return f"MuJoCo cannot be imported: {rendering_advice()}."
     return (
         f"unexpected {type(error).__name__}: {printable(' '.join(str(error).split()))} (--debug shows where)"

@@ -8,7 +8,6 @@ DIR/log.jsonl                  dates, failures and simulated steps; not part of 
 """
 
 import json
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,10 +28,13 @@ from planspace.errors import PlanspaceError
 from planspace.storage.checks import reject_malformed
 from planspace.storage.files import make_folder
 from planspace.storage.repair import PREFIX
+from planspace.storage.runs import refuse_other_files
 from planspace.storage.settings import list_differences
 
 LOG = "log.jsonl"
 """The name of the log, which planning writes."""
+OWN = rf"[.].*|{PREFIX}.*|{MODEL_FOLDER}|{FOLDER}|{LOG}|{SHARD_NAME.pattern}"
+"""Names in a folder without a manifest that an interrupted or repaired dataset may have."""
 SHARD_EPISODES, SHARD_STATES = 256, 100_000
 """`DemoFolder.extend` closes a shard when it reaches this many demonstrations or states."""
 
@@ -63,7 +65,7 @@ class DemoFolder:
         self.path = make_folder(path)
         self._manifest = Manifest(info, settings)
         if not (path / MANIFEST).exists():
-            _refuse_other_files(path)
+            refuse_other_files(path, "demo dataset", OWN)
         else:
             found = read_manifest(path)
             saved, plain = upgrade(found.settings), json.loads(json.dumps(settings))
@@ -120,19 +122,6 @@ class DemoFolder:
                 batch, num_states = [], 0
         if batch:
             self.append(batch, self.num_episodes + len(batch))
-
-
-def _refuse_other_files(path: Path) -> None:
-    """Refuse a folder without a manifest that holds more than an interrupted command leaves.
-
-    Raises:
-        PlanspaceError: it does.
-    """
-    own = re.compile(rf"[.].*|{PREFIX}.*|{MODEL_FOLDER}|{FOLDER}|{LOG}|{SHARD_NAME.pattern}")
-    if others := sorted(file.name for file in path.iterdir() if not own.fullmatch(file.name)):
-        raise PlanspaceError(
-            f"{path} is not empty and is not a demo dataset (it holds {others[0]!r}); choose another --out."
-        )
 
 
 def remove_damaged_shards(folder: Path) -> list[tuple[Path, str]]:

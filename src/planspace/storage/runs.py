@@ -4,6 +4,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -51,7 +52,7 @@ def open_run(
     saved = path / CONFIG
     config = json.loads(json.dumps(config))
     if not saved.exists():
-        _check_empty(path)
+        refuse_other_files(path, "planspace run", f"{re.escape(TEMPORARY_PREFIX)}.*")
         write_json(saved, config)
         return path
     before = update(update_settings(read_json(saved), renamed=renamed, added=added))
@@ -64,12 +65,20 @@ def open_run(
     return path
 
 
-def _check_empty(path: Path) -> None:
-    others = [p.name for p in path.iterdir() if not p.name.startswith(TEMPORARY_PREFIX)]
-    if others:
+def refuse_other_files(path: Path, kind: str, own: str) -> None:
+    """Refuse to begin in a folder that holds files of someone else.
+
+    Args:
+        path: the folder.
+        kind: what the folder would be, for the message.
+        own: regular expression of the names that an interrupted command may have left.
+
+    Raises:
+        PlanspaceError: it holds another name.
+    """
+    if others := sorted(file.name for file in path.iterdir() if not re.fullmatch(own, file.name)):
         raise PlanspaceError(
-            f"{path} is not empty and is not a planspace run (it holds {sorted(others)[0]!r}); "
-            "choose another --out."
+            f"{path} is not empty and is not a {kind} (it holds {others[0]!r}); choose another --out."
         )
 
 

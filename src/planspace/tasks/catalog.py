@@ -7,7 +7,7 @@ import importlib
 import pkgutil
 from pathlib import Path
 
-from planspace.errors import UsageError, quoted, unknown
+from planspace.errors import UsageError, quoted
 from planspace.mjcf.assets import ASSETS
 from planspace.tasks import shipped
 from planspace.tasks.dm_control.suite import DMC_PREFIX, find_dmc_task
@@ -76,16 +76,13 @@ def find_task(task: str | Path | Task) -> Task:
         return TASKS[name]
     if name.startswith(DMC_PREFIX):
         return find_dmc_task(name)
+    from planspace.tasks.problem_file import load_problem, unknown_name
+
     if is_problem_file(task) or name in _problem_names():
-        from planspace.tasks.problem_file import load_problem
         from planspace.tasks.problem_task import task_of_problem
 
         return task_of_problem(load_problem(task))
-    if Path(f"{name}.yaml").is_file():
-        raise UsageError(f"unknown task {quoted(name)}. Did you mean the problem file {name}.yaml?")
-    if Path(name).is_file():
-        raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
-    raise unknown("task", name, task_names())
+    raise unknown_name("task", name, task_names())
 
 
 def is_problem_file(task: str | Path) -> bool:

@@ -61,7 +61,7 @@ class JointReader:
     @property
     def units(self) -> tuple[str, ...]:
         """Unit of each number; empty for the other entries."""
-        return (*self.space.units, *("" for _ in range(len(self.names) - len(self.space.units))))
+        return (*self.space.units, *[""] * sum(self.others.values()))
 
     def __call__(self) -> Float[np.ndarray, " state"]:
         """Return the current state."""

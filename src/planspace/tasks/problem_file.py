@@ -1,7 +1,7 @@
 """Problem files in YAML, and the shipped problems; the layout of the 2020 planner is read too."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -71,11 +71,22 @@ def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> P
         return _problem_of_suite(name)
     if name.endswith((".yaml", ".yml")):
         return _read_problem(Path(name), read_model_in_subprocess if untrusted else read_model)
+    raise unknown_name("problem", name, shipped_problems())
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
+    """The error for an unknown name, which may be a file without the ending of a problem file.
+
+    Args:
+        kind: what the name should be of.
+        name: the name.
+        known: the names that exist.
+    """
     if Path(name).is_file():
-        raise UsageError(f"{name} is not a problem file: its name should end in .yaml.")
+        return UsageError(f"{name} is not a problem file: its name should end in .yaml.")
     if Path(f"{name}.yaml").is_file():
-        raise UsageError(f"unknown problem {quoted(name)}. Did you mean the problem file {name}.yaml?")
-    raise unknown("problem", name, shipped_problems())
+        return UsageError(f"unknown {kind} {quoted(name)}. Did you mean the problem file {name}.yaml?")
+    return unknown(kind, name, known)
 
 
 def _problem_of_suite(name: str) -> Problem:
