@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import numbers
 import reprlib
 import shlex
 from collections.abc import Iterable, Sequence
@@ -71,6 +72,21 @@ def check_setting(name: str, value: Any, fits: bool, wanted: str) -> None:
     """
     if not fits:
         raise UsageError(f"`{name}` must be {wanted}, got {quoted(value)}.")
+
+
+def check_whole(name: str, value: Any, least: int = 1) -> None:
+    """Check that a number is whole and not too small.
+
+    Args:
+        name: the argument or setting.
+        value: its value.
+        least: the smallest that is allowed.
+
+    Raises:
+        UsageError: it is not.
+    """
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    check_setting(name, value, is_whole and int(value) >= least, f"a whole number of at least {least}")
 
 
 def check_layers(name: str, layers: Sequence[int]) -> None:

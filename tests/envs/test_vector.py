@@ -188,7 +188,7 @@ def test_misfits_are_refused() -> None:
         ({"obs": "cooked"}, "unknown observation type 'cooked'"),
         ({"render_mode": "human"}, "unknown render mode 'human'"),
         ({"autoreset_mode": "Never"}, "unknown autoreset mode 'Never'"),
-        ({"num_envs": 0}, "num_envs must be 1 or more"),
+        ({"num_envs": 0}, "`num_envs` must be a whole number of at least 1"),
     ],
 )
 def test_arguments_are_checked_at_construction(kwargs: dict[str, Any], message: str) -> None:

@@ -67,7 +67,8 @@ class Import:
     unit: UseAppendAction[
         Annotated[tuple[str, ...], arg(metavar="NAME=UNIT", help_behavior_hint="(repeatable)")]
     ] = ()
-    """The unit of a column. Angles on a circle in `deg` or `turn` are converted to radians."""
+    """The unit of a column. Angles on a circle in `deg` or `turn` are converted to radians. With a problem or
+    a model, all states are converted to its units."""
     drop: Names = ()
     """A column to leave out."""
     keep: Names = ()

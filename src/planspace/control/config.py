@@ -7,7 +7,7 @@ from typing import Literal
 from planspace.control.method import PAGE, Method
 from planspace.control.methods import MPPI
 from planspace.control.splines import SplineOrder
-from planspace.errors import UsageError, check_setting
+from planspace.errors import UsageError, check_setting, check_whole
 from planspace.seams import check_field_types, check_fits, unset_if
 
 CostName = Literal["z", "time", "reward", "raw"]
@@ -73,9 +73,7 @@ class ControlConfig:
         spread = self.noise_spread
         check_setting("noise_spread", spread, 1 <= spread < math.inf, "at least 1 and finite")
         rounds = getattr(self.method, "iterations", 1)
-        check_setting(
-            "iterations", rounds, type(rounds) is int and rounds >= 1, "a whole number of at least 1"
-        )
+        check_whole("iterations", rounds)
         check_setting("horizon_s", self.horizon_s, 0 < self.horizon_s < math.inf, "above 0 and finite")
         for name in ("samples", "knots", "cost_points", "action_repeat"):
             check_setting(name, getattr(self, name), getattr(self, name) >= 1, "at least 1")

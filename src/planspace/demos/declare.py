@@ -3,13 +3,13 @@
 The user declares it with options, or it is guessed from names and values if there is no model that says it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from planspace.demos.episode import Episode
-from planspace.demos.guess import RADIANS, guess_quaternions, is_compass_angle
+from planspace.demos.guess import CONVERSIONS, RADIANS, guess_quaternions, is_compass_angle
 from planspace.demos.recording import ImportOptions
 from planspace.demos.state_info import StateInfo
 from planspace.demos.survey import Survey
@@ -57,6 +57,7 @@ def declare_states(
     options: ImportOptions,
     columns: Sequence[str] = (),
     *,
+    recorded_units: Mapping[str, str] | None = None,
     guess: bool = True,
 ) -> Meaning:
     """Decide what the states of a source mean.
@@ -66,6 +67,8 @@ def declare_states(
         survey: statistics of the states.
         options: what the user declares.
         columns: names of all columns of a table, which options may name too.
+        recorded_units: units of states by name that the source says. If `info` knows another unit, the
+            numbers are converted to that.
         guess: whether to guess what neither of them says.
 
     Raises:
@@ -75,9 +78,15 @@ def declare_states(
     _check_names(names, options, columns)
     free = guess and info.source is None and not info.problem  # a model says what its states are
     notes = [""] * len(names)
-    for name, unit in options.units.items():
+    factors = [1.0] * len(names)
+    for name, unit in {**(recorded_units or {}), **options.units}.items():
         if name in names:
-            units[names.index(name)], notes[names.index(name)] = unit, "--unit"
+            column = names.index(name)
+            factors[column] = _conversion(name, unit, units[column])
+            notes[column] = "--unit" if name in options.units else ""
+            if factors[column] != 1.0:
+                notes[column] = f"converted from {unit}"
+            units[column] = units[column] or unit
     quaternions = {**_known(info), **_declared_quaternions(info, options)}
     if free:
         quaternions = {**_guessed_quaternions(names, survey, quaternions, options), **quaternions}
@@ -93,7 +102,19 @@ def declare_states(
             note, unit = _guess_circle(name, units[column], column, survey)
             if note:
                 circles[column], units[column] = note, unit
-    return _arrange(info, units, circles, quaternions, notes, options)
+    return _arrange(info, units, factors, circles, quaternions, notes, options)
+
+
+def _conversion(name: str, unit: str, known: str) -> float:
+    """By what a number in `unit` is multiplied to have the unit `known`; 1 if that is empty."""
+    if not known or unit == known:
+        return 1.0
+    factors = CONVERSIONS.get(known, {known: 1.0})
+    if unit not in factors:
+        raise UsageError(
+            f"{name!r} is in {known}; {unit!r} cannot be converted to it, only {', '.join(factors)}."
+        )
+    return factors[unit]
 
 
 def _check_names(names: Sequence[str], options: ImportOptions, others: Sequence[str]) -> None:
@@ -180,6 +201,7 @@ def _guess_circle(name: str, unit: str, column: int, survey: Survey) -> tuple[st
 def _arrange(
     info: StateInfo,
     units: list[str],
+    factors: list[float],
     circles: dict[int, str],
     quaternions: Quaternions,
     notes: list[str],
@@ -193,7 +215,6 @@ def _arrange(
     for quaternion, note in whole.items():
         for column in quaternion:
             notes[column] = note
-    factors = dict.fromkeys(columns, 1.0)
     for column, note in circles.items():
         notes[column] = note or notes[column]
         unit = units[column] or "rad"

@@ -20,6 +20,15 @@ SECONDS = {
 """Units of time [s]."""
 RADIANS = {"rad": 1.0, **dict.fromkeys(("deg", "degree", "degrees"), TWO_PI / 360), "turn": TWO_PI}
 """Units of angles [rad]."""
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
+"""Units of lengths [m]."""
+CONVERSIONS = {
+    "rad": RADIANS,
+    "m": LENGTHS,
+    "rad/s": {**{f"{unit}/s": factor for unit, factor in RADIANS.items()}, "rpm": TWO_PI / 60},
+    "m/s": {f"{unit}/s": factor for unit, factor in LENGTHS.items()},
+}
+"""For the units of a model, the units that are converted to them, and by what they are multiplied."""
 EPOCHS = ((1e8, "s"), (1e11, "ms"), (1e14, "us"), (1e17, "ns"))
 """A clock that starts above a value counts since 1970, in this unit."""
 _OTHER_UNITS = ("m", "mm", "cm", "km", "n", "nm", "v", "a", "hz", "kg", "m/s", "rad/s", "deg/s", "m/s^2")

@@ -17,6 +17,7 @@ from planspace.demos.declare import Meaning, declare_states
 from planspace.demos.episode import Episode, Origin, check_episode
 from planspace.demos.folder import DemoFolder
 from planspace.demos.import_table import import_table
+from planspace.demos.limits import limit_notices
 from planspace.demos.recording import Imported, ImportOptions
 from planspace.demos.resample import (
     common_step,
@@ -32,6 +33,7 @@ from planspace.demos.state_info import StateInfo
 from planspace.demos.stored import StoredDemos
 from planspace.demos.survey import Survey
 from planspace.demos.suspects import Suspects
+from planspace.demos.velocity_check import VelocityCheck
 from planspace.errors import PlanspaceError
 from planspace.progress import progress_over
 
@@ -78,13 +80,26 @@ def prepare(
         why = "; ".join(cleaning.notices(options.gaps)) or "there are no demonstrations"
         raise PlanspaceError(f"{source}: {why}.")
     columns = [use.name for use in imported.uses]
-    meaning = declare_states(imported.info, survey, options, columns, guess=not imported.exported)
+    meaning = declare_states(
+        imported.info,
+        survey,
+        options,
+        columns,
+        recorded_units=imported.units,
+        guess=not imported.exported,
+    )
     show(import_table(imported, meaning, survey, len(recorded)))
     suspects = Suspects(imported.info.names, survey, meaning.rotations)
-    located = zip(recorded.episodes(), origins, strict=True)
-    watched = suspects.watch(replace(episode, origin=origin) for episode, origin in located)
+
+    def located() -> Iterator[Episode]:
+        pairs = zip(recorded.episodes(), origins, strict=True)
+        return (replace(episode, origin=origin) for episode, origin in pairs)
+
+    doubts = VelocityCheck(meaning.info).notices(lambda: map(meaning.apply, located()))
+    doubts += limit_notices(meaning, survey)
+    watched = suspects.watch(located())
     demos = _declare(recorded, watched, meaning, imported.keep_angles, cleaning, options, staging)
-    notices = [*imported.notices, *cleaning.notices(options.gaps), *suspects.notices()]
+    notices = [*imported.notices, *cleaning.notices(options.gaps), *suspects.notices(), *doubts]
     demos = _align(demos, options, staging, notices)
     named = chosen_splits(options.split, imported.splits, columns)
     splits = place_splits(named, _indices(demos)) if named else {}

@@ -88,6 +88,8 @@ class Imported:
     exported: bool = False
     """Whether planspace exported the source: its states have a meaning already, and they are stored unchanged
     unless an option asks for something else."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units of states by name that the source says and `info` does not."""
     uses: tuple["Use", ...] = ()
     """How the columns of a table are used; empty if the source is not a table."""
     splits: Mapping[str, Sequence[int]] = field(default_factory=dict)

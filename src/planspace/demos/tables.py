@@ -67,7 +67,9 @@ def import_tables(found: Tables, info: StateInfo | None, options: ImportOptions)
 
     by_column = any(columns.split is not None for columns in chosen)
     named = splits if by_column else found.splits
-    return Imported(first, episodes(), notices, uses=chosen[0].uses, splits=named)
+    return Imported(
+        first, episodes(), notices, units=chosen[0].state_units, uses=chosen[0].uses, splits=named
+    )
 
 
 class _Part(NamedTuple):

@@ -14,7 +14,7 @@ from planspace.embed.inputs import Inputs
 from planspace.embed.mlp import Layer, forward
 from planspace.embed.support import Support
 from planspace.embed.time_head import TimeHead, TimeInput, quasimetric
-from planspace.errors import PlanspaceError, UsageError
+from planspace.errors import PlanspaceError, UsageError, quoted
 from planspace.storage.arrays import Arrays
 from planspace.summary import html_summary, text_summary
 
@@ -272,7 +272,10 @@ class Embedding:
         return digest.hexdigest()
 
     def _checked(self, states: np.ndarray) -> np.ndarray:
-        states = np.asarray(states, dtype=np.float64)
+        try:
+            states = np.asarray(states, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise UsageError(f"states must be an array of numbers, got {quoted(states)}.") from None
         self.inputs.check_shape(states.shape)
         return states
 

@@ -15,7 +15,7 @@ from planspace.envs.goal_states import Goal
 from planspace.envs.gymnasium_env import GymTaskEnv
 from planspace.envs.observation_view import Z
 from planspace.envs.observation_wrappers import PlanSpaceObservation, PlanSpaceVectorObservation
-from planspace.errors import UsageError, quoted
+from planspace.errors import UsageError, check_whole, quoted
 from planspace.tasks.catalog import TASKS
 from planspace.tasks.gymnasium import AnyTask, GymTask, find_training_task
 from planspace.tasks.observation_types import find_name
@@ -73,6 +73,8 @@ def make_env(
         UsageError: no task has this name, a task does not fit its model, or an argument has a wrong value.
         PlanspaceError: the embedding cannot be loaded.
     """
+    if num_envs is not None:
+        check_whole("num_envs", num_envs)
     arguments |= {"obs": obs, "reward": reward, "render_mode": render_mode}
     found = find_training_task(task)
     if isinstance(found, GymTask):

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from planspace.envs.batch import TaskBatch
 from planspace.envs.pixels import PixelStacks, find_view
 from planspace.envs.render import RENDER_MODES, Renderer
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, did_you_mean, unknown
 from planspace.physics.pictures import PictureConfig
 from planspace.physics.space import StateSpace
 from planspace.tasks.catalog import find_task
@@ -109,11 +109,12 @@ class TaskEnv(Described, gymnasium.Env[np.ndarray, np.ndarray], gymnasium.utils.
             options: `{"state": ...}` starts from a given planning state.
 
         Raises:
-            UsageError: the given state has the wrong size, or is not finite.
+            UsageError: the given state has the wrong size, or is not finite, or `state` is misspelt.
         """
+        options = checked_options(options, "state")
         super().reset(seed=seed)
         states, targets = self.task.sample_starts(1, self.np_random)
-        if options and "state" in options:
+        if "state" in options:
             states = given_states(options["state"], self._batch.simulator.space)[None]
         self._batch.reset(states, targets)
         if self._pixels is not None:
@@ -189,6 +190,21 @@ def frames_per_second(batch: TaskBatch) -> int:
     return round(
         1.0 / (batch.task.action_repeat * batch.task.frame_skip * batch.simulator.model.opt.timestep)
     )
+
+
+def checked_options(options: dict[str, Any] | None, *known: str) -> dict[str, Any]:
+    """Return the options of a reset, without None.
+
+    Wrappers of other libraries pass options of their own, so only a name like one of ours is refused.
+
+    Raises:
+        UsageError: an option seems to be one of `known`, misspelt.
+    """
+    options = options or {}
+    for name in options:
+        if name not in known and did_you_mean(str(name), list(known)):
+            raise unknown("option of reset", name, known)
+    return options
 
 
 def given_states(given: Any, space: StateSpace, num: int | None = None) -> np.ndarray:

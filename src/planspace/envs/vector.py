@@ -16,12 +16,13 @@ from planspace.envs.render import Renderer
 from planspace.envs.task import (
     Described,
     checked_actions,
+    checked_options,
     find_render_mode,
     frames_per_second,
     given_states,
     spaces_of,
 )
-from planspace.errors import UsageError, unknown
+from planspace.errors import UsageError, check_whole, unknown
 from planspace.physics.pictures import PictureConfig
 from planspace.tasks.catalog import find_task
 from planspace.tasks.task import Task, find_reward_type
@@ -84,8 +85,7 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
             pictures,
         )
         self.task = find_task(task)
-        if num_envs < 1:
-            raise UsageError(f"num_envs must be 1 or more, got {num_envs}.")
+        check_whole("num_envs", num_envs)
         self.num_envs = num_envs
         self.obs, view = find_view(obs, pictures)
         self.render_mode = find_render_mode(render_mode, self.metadata["render_modes"])
@@ -128,9 +128,9 @@ class TaskVectorEnv(Described, VectorEnv[np.ndarray, np.ndarray, np.ndarray], gy
                 `{"reset_mask": ...}` chooses the environments that start; the others continue.
 
         Raises:
-            UsageError: seeds, states or mask have the wrong shape.
+            UsageError: seeds, states or mask have the wrong shape, or the name of an option is misspelt.
         """
-        options = options or {}
+        options = checked_options(options, "state", "reset_mask")
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + i for i in range(self.num_envs)]
         if seed is not None and len(seed) != self.num_envs:

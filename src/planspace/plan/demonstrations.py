@@ -18,7 +18,7 @@ from planspace.demos.folder import LOG, DemoFolder
 from planspace.demos.load import load_demos
 from planspace.demos.manifest import DatasetSettings
 from planspace.demos.state_info import StateInfo
-from planspace.errors import PartialResult, UsageError
+from planspace.errors import PartialResult, UsageError, check_whole
 from planspace.physics.simulator import Simulator
 from planspace.plan.config import PlanConfig, PolishConfig, RegulatorConfig, find_planner
 from planspace.plan.durations import in_seconds
@@ -84,6 +84,8 @@ def plan_demos(  # noqa: PLR0913
         PlanspaceError: `out` cannot be written or holds something else, or the problem has no valid start.
         PartialResult: no plan at all was found.
     """
+    check_whole("num", num)
+    check_whole("seed", seed, 0)
     problem = load_problem(problem)
     if config is None:
         config = PlanConfig.for_problem(problem, planner=planner)

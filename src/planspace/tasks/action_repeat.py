@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from planspace.errors import UsageError, check_setting
+from planspace.errors import UsageError, check_whole
 from planspace.tasks.gymnasium import AnyTask, GymTask
 from planspace.tasks.task import Task
 
@@ -17,7 +17,7 @@ def repeat_actions(task: AnyTask, num: int) -> AnyTask:
         UsageError: the number is below 1 or does not divide the horizon, or the task is a Gymnasium
             environment.
     """
-    check_setting("action_repeat", num, type(num) is int and num >= 1, "a whole number of at least 1")
+    check_whole("action_repeat", num)
     own = single_actions(task)
     if num == 1:
         return own

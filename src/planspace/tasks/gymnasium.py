@@ -18,7 +18,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 from jaxtyping import Float
 
-from planspace.errors import UsageError, quoted
+from planspace.errors import UsageError, check_whole, quoted
 from planspace.tasks.catalog import GYM_PREFIX, find_task
 from planspace.tasks.env_state import state_reader
 from planspace.tasks.gymnasium_ids import provider_versions, registered_id
@@ -68,10 +68,8 @@ class GymTask:
             raise UsageError(f"the id of a GymTask must be text such as 'Hopper-v5', got {quoted(self.id)}.")
         if not isinstance(self.kwargs, Mapping):
             raise UsageError(f"`kwargs` must be a mapping of names to values, got {quoted(self.kwargs)}.")
-        if steps is not None and (type(steps) is not int or steps < 1):
-            raise UsageError(
-                f"`max_episode_steps` must be a whole number of at least 1, got {quoted(steps)}."
-            )
+        if steps is not None:
+            check_whole("max_episode_steps", steps)
         if isinstance(names, str) or not all(isinstance(name, str) for name in names):
             raise UsageError(f"`obs_names` must be a list of names, got {quoted(names)}.")
         object.__setattr__(self, "obs_names", tuple(names))

@@ -17,7 +17,7 @@ h5py = pytest.importorskip("h5py")
 
 MODEL = """<mujoco><worldbody>
 <body name="base"><geom size=".1" mass="1"/><joint name="turn" axis="0 1 0"/>
-  <body><geom {geom} mass="1"/><joint name="limited" axis="1 0 0" range="-1 1"/></body></body>
+  <body><geom {geom} mass="1"/><joint name="limited" axis="1 0 0" range="-90 90"/></body></body>
 <body name="cube"><geom size=".1" mass="1"/><freejoint name="cube_joint0"/></body>
 </worldbody><actuator><motor joint="turn"/><motor joint="limited"/></actuator></mujoco>"""
 WHOLE, MESH = (

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from planspace.demos.formats.format import Column, Kind
 from planspace.demos.guess import guess_kind, guess_unit, is_counter
@@ -37,6 +37,8 @@ class Columns:
     """Column with the number of the demonstration; None if there is no such column."""
     split: int | None = None
     """Column with the name of the split; None if the user names no such column."""
+    state_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of states by name, as the table says."""
     time_unit: str = ""
     """Unit of the time; empty if it is unknown."""
     restarts: bool = False
@@ -99,6 +101,9 @@ def choose_columns(
         controls=tuple(position[name] for name in controls),
         episode=position[episode] if episode else None,
         split=position.get(options.split),
+        state_units={
+            state: units[column] for state, column in zip(info.names, states, strict=True) if units[column]
+        },
         time_unit=units.get(time, ""),
         restarts=bool(episode) and (episode == time or kinds.get(episode) == "time" or is_counter(episode)),
         uses=tuple(

@@ -91,6 +91,10 @@ def read_mujoco_states(
             )
     notices = dict.fromkeys(notice for file in files for notice in file.notices)
     has_controls = all(layout.control for layout in layouts)
+    if options.dt and (
+        unused := next((key for key in TIMES for file in files if file.sizes.get(key) == 1), "")
+    ):
+        notices[f"--dt is used instead of the times in {unused!r}"] = None
     episodes = _episodes(files, layouts, own[0], model, options)
     return Imported(own[0], episodes, (*notices, *(() if has_controls else (NO_CONTROLS,))))
 
