@@ -150,8 +150,18 @@ class PlanConfig:
         Raises:
             UsageError: a setting that does not exist, or a value out of range.
         """
-        given = {"planner": problem.planner, **dict(problem.settings)}
-        given |= {key: value for key, value in changes.items() if value is not None}
+        own = {"planner": problem.planner, **dict(problem.settings)}
+        given = own | {key: value for key, value in changes.items() if value is not None}
+        try:
+            return cls._from_settings(problem, given)
+        except UsageError as error:
+            if given != own:
+                raise
+            raise UsageError(f"problem {problem.name!r}: {error}") from error
+
+    @classmethod
+    def _from_settings(cls, problem: "Problem", given: dict[str, Any]) -> "PlanConfig":
+        given = dict(given)
         chosen = given.pop("planner")
         if any(name.endswith("_steps") for name in given):  # of version 0.1.0
             given = in_seconds(given, problem.compile()[0].opt.timestep)

@@ -58,8 +58,8 @@ def load_problem(problem: str | Path | Problem, *, untrusted: bool = False) -> P
             bounded memory and time.
 
     Raises:
-        UsageError: no problem has this name (the nearest one is suggested), or a key is unknown.
-        PlanspaceError: the file or its model cannot be read, or they do not fit each other.
+        UsageError: no problem has this name (the nearest is suggested), or the content of the file is wrong.
+        PlanspaceError: the file or its model cannot be read.
     """
     if isinstance(problem, Problem):
         check_problem(problem, f"problem {problem.name}")
@@ -103,7 +103,11 @@ def _read_problem(path: Path, read: ReadModel = read_model) -> Problem:
     try:
         problem = layout(path, settings, read)
     except ValueError as error:
-        raise PlanspaceError(f"{path}: {error}") from error
+        raise UsageError(f"{path}: {error}") from error
+    except PlanspaceError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from error
     check_problem(problem, str(path))
     return problem
 
@@ -203,7 +207,7 @@ def _check_keys(path: Path, settings: dict[str, Any], known: set[str], required:
             raise UsageError(f"{path}: {unknown('key', str(key), known)}")
     missing = sorted(required - settings.keys())
     if missing:
-        raise PlanspaceError(f"{path}: the key {missing[0]!r} is missing.")
+        raise UsageError(f"{path}: the key {missing[0]!r} is missing.")
 
 
 def _beside(path: Path, name: str) -> Path:
@@ -211,7 +215,7 @@ def _beside(path: Path, name: str) -> Path:
     file = path.parent / name
     real = Path(os.path.realpath(file))  # realpath also ends where links form a circle
     if not real.is_relative_to(os.path.realpath(path.parent)):
-        raise PlanspaceError(
+        raise UsageError(
             f"{path} refers to {name!r}, outside its folder; copy it next to the problem file."
         )
     return file
