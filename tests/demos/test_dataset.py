@@ -50,7 +50,7 @@ def test_save_and_load(demos: Demos, tmp_path: Path) -> None:
     before = (tmp_path / "demos" / "manifest.json").read_bytes()
     demos.save(tmp_path / "demos")  # saving the same demonstrations again changes nothing
     assert (tmp_path / "demos" / "manifest.json").read_bytes() == before
-    with pytest.raises(PlanspaceError, match="made with other settings: content was"):
+    with pytest.raises(PlanspaceError, match="made with other settings: content has changed"):
         demos.select(("hinge",)).save(tmp_path / "demos")
     for change in ({"success": ~demos.success}, {"costs": demos.costs + 1.0}, {"seeds": demos.seeds + 1}):
         with pytest.raises(PlanspaceError, match=f"the same demonstrations with other {next(iter(change))}"):

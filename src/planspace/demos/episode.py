@@ -142,7 +142,10 @@ def check_episode(info: StateInfo, episode: Episode) -> None:
             f"{where} has {num_states} states, {len(episode.controls)} controls and {len(episode.times)} "
             "times; expected T + 1, T and T + 1."
         )
-    for name, array in (("state", episode.states), ("control", episode.controls), ("time", episode.times)):
-        bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
+    controls = [f"control{i + 1}" for i in range(info.num_controls)]
+    times = episode.times[:, None]
+    for names, array in ((info.names, episode.states), (controls, episode.controls), (["the time"], times)):
+        bad = np.argwhere(~np.isfinite(array))
         if len(bad):
-            raise PlanspaceError(f"{where} has a {name} that is not finite, in row {bad[0]}.")
+            row, column = bad[0].tolist()
+            raise PlanspaceError(f"{where}, row {row}: {names[column]} is not finite.")

@@ -7,6 +7,7 @@ import numpy as np
 
 from planspace.demos.manifest import MANIFEST, SHARD_NAME, Shard
 from planspace.demos.state_info import StateInfo
+from planspace.errors import PlanspaceError
 from planspace.storage.arrays import Arrays, read_arrays, write_arrays
 from planspace.storage.checks import check_file, damage_error, reject_malformed
 
@@ -40,6 +41,11 @@ def read_shard(folder: Path, shard: Shard, info: StateInfo) -> Arrays:
     """
     file = shard_file(folder, shard)
     most = HEADER_BYTES + 8 * sum(math.prod(shape) for shape in _shapes(shard, info).values())
+    if not file.exists():
+        raise PlanspaceError(
+            f"{file} is missing. Restore it from a copy; or run `planspace repair {folder}`, and then the "
+            "command that made the dataset."
+        )
     check_file(file)
     if (size := file.stat().st_size) > most:
         raise damage_error(file, f"it has {size} bytes, its manifest allows at most {most}")

@@ -1,6 +1,7 @@
 """Saved settings: reading those of earlier versions, and listing what differs."""
 
 import copy
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -34,14 +35,23 @@ def update_settings(
 
 
 def list_differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """List each value that differs between two trees of plain data, as "NAME was OLD, now NEW"."""
+    """List each value that differs between two trees of plain data, as "NAME was OLD, now NEW".
+
+    Of a hash it only says that its content has changed.
+    """
     for key in sorted(old.keys() | new.keys()):
         before, now = old.get(key), new.get(key)
         if isinstance(before, dict) and isinstance(now, dict):
             yield from list_differences(before, now, f"{prefix}{key}.")
+        elif _is_hash(before) and _is_hash(now) and before != now:
+            yield f"{prefix}{key} has changed"
         elif before != now:
             was, is_now = (repr(tree[key]) if key in tree else "not set" for tree in (old, new))
             yield f"{prefix}{key} was {was}, now {is_now}"
+
+
+def _is_hash(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
 
 
 def _inner(settings: dict[str, Any], path: list[str]) -> dict[str, Any] | None:

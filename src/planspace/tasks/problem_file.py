@@ -215,7 +215,5 @@ def _beside(path: Path, name: str) -> Path:
     file = path.parent / name
     real = Path(os.path.realpath(file))  # realpath also ends where links form a circle
     if not real.is_relative_to(os.path.realpath(path.parent)):
-        raise UsageError(
-            f"{path} refers to {name!r}, outside its folder; copy it next to the problem file."
-        )
+        raise UsageError(f"{path} refers to {name!r}, outside its folder; copy it next to the problem file.")
     return file

@@ -204,7 +204,7 @@ def test_a_subprocess_reads_the_same_demonstrations(tmp_path: Path, capsys) -> N
 
 def test_a_subprocess_says_what_is_wrong(tmp_path: Path) -> None:
     write(tmp_path / "a.hdf5", states=np.full((4, 18), np.nan))
-    with pytest.raises(PlanspaceError, match="demonstration 0 has a state that is not finite"):
+    with pytest.raises(PlanspaceError, match="demonstration 0, row 0: turn is not finite"):
         import_demos([str(tmp_path / "a.hdf5")], tmp_path / "out", None, ImportOptions(untrusted=True))
 
 

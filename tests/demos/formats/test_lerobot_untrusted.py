@@ -90,7 +90,7 @@ def many_rows(file: Path) -> None:
         (column("action", [[1.0, 2.0]] * 6 + [None]), "column 'action' is empty in row 6"),
         (column("action", [[1.0, 2.0]] * 6 + [[1.0, None]]), "column 'action' is empty in row 6"),
         (column("observation.state", [[1.0]] * 7), "has 1 numbers, but `meta` says 2"),
-        (column("observation.state", [[1.0, np.nan]] * 7), "has a state that is not finite, in row 0"),
+        (column("observation.state", [[1.0, np.nan]] * 7), "demonstration 0, row 0: lift.pos is not finite"),
         (column("episode_index", [0] * 7), "has 7 frames of episode 0, but `meta` says 4"),
         (column("episode_index", [0] * 4 + [9] * 3), "has no episode 1, which `meta` says is in it"),
         (
@@ -171,5 +171,5 @@ def test_a_subprocess_says_what_is_wrong(tmp_path: Path) -> None:
     write_3(tmp_path / "set")
     columns = {**frames(2, LENGTHS[2]), "action": np.full((LENGTHS[2], 2), np.inf)}
     parquet.write_table(table(columns), tmp_path / "set/data/chunk-000/file-001.parquet")
-    with pytest.raises(PlanspaceError, match="demonstration 2 has a control that is not finite"):
+    with pytest.raises(PlanspaceError, match="demonstration 2, row 0: control1 is not finite"):
         load(tmp_path, untrusted=True)

@@ -51,7 +51,10 @@ def test_import_the_released_data(released: Path, tmp_path: Path, capsys) -> Non
         ({"controls": np.zeros((3, 1))}, "the same number of rows"),
         ({"time": np.zeros((4, 1))}, "two, two and one axes"),
         ({"time": np.array([0.0, 1.0, 1.0, 2.0])}, "episode 0, row 2: the time 1 does not come after 1"),
-        ({"states": np.array([[0.0], [1.0], [np.nan], [3.0]])}, "state that is not finite, in row 2"),
+        (
+            {"states": np.array([[0.0], [1.0], [np.nan], [3.0]])},
+            "demonstration 0, row 2: state0 is not finite",
+        ),
         ({"states": np.array([["a"]] * 4)}, "'states' must contain numbers, got type <U1"),
         ({"states": np.array([[{}]] * 4, dtype=object)}, "not a readable NPZ archive of plain arrays"),
     ],

@@ -136,6 +136,13 @@ def test_archives_by_planspace_are_joined(tmp_path: Path) -> None:
             {"time": TIME, "q": Q, "offsets": np.array([0.0, 5.0])},
             "'offsets' must contain numbers, got type f",
         ),
+        (
+            {"time": TIME, "q": Q, "actions": Q[:2]},
+            "'actions' has 2 rows; expected 5, or 4 without the last of each demonstration",
+        ),
+        ({"time": TIME[:3], "q": Q}, "'time' has 3 rows; expected 5."),
+        ({"time": TIME, "q": Q, "qpos": Q.astype(object)}, "'qpos' does not hold numbers"),
+        ({"time": TIME, "q": Q, "u": Q[None, None]}, r"'u' has the shape \[1, 1, 5, 2\]; expected 2 axes"),
         ({"time": TIME, "q": Q, "episode_ends": np.array([0, 5])}, "demonstration 0 has no states"),
         ({"name": np.array("me")}, r"has no array with rows of numbers; it has name \[\] \(not numbers\)"),
         ({"time": TIME, "q": np.where(Q == 3, np.nan, Q)}, r"row 1: column 'q\[1\]' is empty"),

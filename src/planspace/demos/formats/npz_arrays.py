@@ -28,12 +28,15 @@ OFFSETS, ENDS = "offsets", "episode_ends"
 FLAGS = ("terminals", "timeouts", "dones", "terminations", "truncations")
 TIMES = ("time", "times", "t", "timestamp", "timestamps")
 CONTROLS = ("controls", "control", "actions", "action", "ctrl", "u")
+POSITIONS, VELOCITIES, ACTIVATIONS = "qpos", "qvel", "act"
 TRANSITIONS = frozenset({"observation", "action", "reward", "discount"})
 """Arrays of ExORL and of other code for dm_control. The action of a row is the one that led to its state."""
 PHYSICS = "physics"
 """The state of dm_control's simulator; a model is needed to tell its numbers apart."""
 EPISODE = "demonstration"
 """Column with the number of the demonstration, which is added if an archive has several."""
+NEEDED = (*TIMES, *CONTROLS, POSITIONS, VELOCITIES, ACTIVATIONS, PHYSICS, "state", "states")
+"""Arrays that cannot be left out because they have another number of rows, or no numbers."""
 MAX_LISTED = 8
 """Number of arrays that a message lists."""
 
@@ -105,6 +108,9 @@ def open_arrays(path: Path) -> ArrayFile:
         for key, shape in numbers.items()
         if len(shape) <= axes + 1 and (shape[:axes] == whole or (key in CONTROLS and shape[:axes] == less))
     }
+    for key in NEEDED:
+        if key in headers and key not in sizes:
+            raise PlanspaceError(f"{path}: {_misfit(key, headers[key], whole, less, axes)}.")
     short = frozenset(key for key in sizes if numbers[key][:axes] != whole)
     late = frozenset({"action"} if set(sizes) >= TRANSITIONS and len(lengths) == 1 else ()) - short
     notices = []
@@ -210,6 +216,19 @@ def _flagged(path: Path, numbers: Mapping[str, tuple[int, ...]], num: int) -> In
         ends = np.any([column.take(num).reshape(num) != 0 for column in columns], axis=0)
     inner = np.flatnonzero(ends[:-1]) + 1
     return np.concatenate([[0], inner, [num]])
+
+
+def _misfit(key: str, header: Header, whole: tuple[int, ...], less: tuple[int, ...], axes: int) -> str:
+    """Why an array has no row for each state."""
+    if not header.is_number:
+        return f"{key!r} does not hold numbers; save it with `astype(float)`"
+    if len(header.shape) not in (axes, axes + 1):
+        return (
+            f"{key!r} has the shape {list(header.shape)}; expected {axes + 1} axes, the last one for numbers"
+        )
+    rows, wanted, shorter = (" x ".join(map(str, shape)) for shape in (header.shape[:axes], whole, less))
+    also = f", or {shorter} without the last of each demonstration" if key in CONTROLS else ""
+    return f"{key!r} has {rows} rows; expected {wanted}{also}"
 
 
 def _listed(headers: Mapping[str, Header]) -> str:

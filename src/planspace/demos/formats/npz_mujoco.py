@@ -16,13 +16,12 @@ import numpy as np
 
 from planspace.demos.episode import Episode
 from planspace.demos.formats.columns import NO_CONTROLS
-from planspace.demos.formats.npz_arrays import CONTROLS, TIMES, ArrayFile
+from planspace.demos.formats.npz_arrays import ACTIVATIONS, CONTROLS, POSITIONS, TIMES, VELOCITIES, ArrayFile
 from planspace.demos.recording import Imported, ImportOptions, check_rising, recorded
 from planspace.demos.state_info import StateInfo
 from planspace.errors import PlanspaceError, UsageError
 from planspace.physics.space import StateSpace
 
-QPOS, QVEL, ACT = "qpos", "qvel", "act"
 WHOLE = ("physics", "state", "states")
 """Names of arrays with positions, velocities and activations."""
 
@@ -105,8 +104,8 @@ def _compile(info: StateInfo | None) -> _Model | None:
 
 def _state_keys(file: ArrayFile, model: _Model | None) -> tuple[str, ...]:
     """The arrays that have the states; empty if there are none."""
-    if QPOS in file.sizes and QVEL in file.sizes:
-        return tuple(key for key in (QPOS, QVEL, ACT) if file.sizes.get(key))
+    if POSITIONS in file.sizes and VELOCITIES in file.sizes:
+        return tuple(key for key in (POSITIONS, VELOCITIES, ACTIVATIONS) if file.sizes.get(key))
     if model is not None:
         size = sum(model.sizes)
         return tuple(key for key in WHOLE if file.sizes.get(key) in (size, size + 1))[:1]
@@ -140,7 +139,7 @@ def _info(file: ArrayFile, layout: _Layout, info: StateInfo | None, model: _Mode
             )
         return info
     assert info is not None
-    if layout.states[0] == QPOS:
+    if layout.states[0] == POSITIONS:
         _check_sizes(file, model)
     if info.problem and layout.control and num_controls != info.num_controls:
         raise PlanspaceError(
@@ -152,9 +151,9 @@ def _info(file: ArrayFile, layout: _Layout, info: StateInfo | None, model: _Mode
 
 
 def _check_sizes(file: ArrayFile, model: _Model) -> None:
-    wanted = dict(zip((QPOS, QVEL, ACT), model.sizes, strict=True))
+    wanted = dict(zip((POSITIONS, VELOCITIES, ACTIVATIONS), model.sizes, strict=True))
     if not model.space.num_activations:  # the state has none
-        del wanted[ACT]
+        del wanted[ACTIVATIONS]
     for key, size in wanted.items():
         if file.sizes.get(key, 0) != size:
             raise PlanspaceError(
@@ -193,7 +192,7 @@ def _episode(
     rows = np.concatenate([arrays[key] for key in layout.states], axis=1)
     times = arrays[layout.time][:, 0] if layout.time else np.arange(len(rows)) * (dt or 0.0)
     if model is not None:
-        if rows.shape[1] == sum(model.sizes) + 1 and layout.states[0] != QPOS:
+        if rows.shape[1] == sum(model.sizes) + 1 and layout.states[0] != POSITIONS:
             times, rows = (times if layout.time or dt else rows[:, 0]), rows[:, 1:]
         rows = rows[:, _columns(model)]
     check_rising(times, lambda i: f"{where}, row {i}")
