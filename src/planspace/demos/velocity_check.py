@@ -274,8 +274,8 @@ def _units_fit(position: str, velocity: str) -> bool:
     return position in ("", "rad", "m") and velocity in ("", "rad/s", "m/s")
 
 
-def _equal(factor: np.ndarray | float, other: float) -> np.ndarray | bool:
-    return np.abs(factor - other) <= EQUAL * other
+def _equal(factor: np.ndarray | float, other: float) -> np.ndarray:
+    return np.asarray(np.abs(factor - other) <= EQUAL * other)
 
 
 def _listed(texts: Sequence[str]) -> str:
