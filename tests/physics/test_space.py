@@ -168,7 +168,10 @@ def test_a_kinematic_space_has_no_velocities() -> None:
             {"position_bounds": {"free": ([0.0], [1.0])}},
             "a free joint takes 3 lower and 3 upper bounds, got 1 and 1",
         ),
-        ({"position_bounds": {"ball": ([0.0], [1.0])}}, "a ball joint takes 0 lower and 0 upper bounds"),
+        (
+            {"position_bounds": {"ball": ([0.0], [1.0])}},
+            "it is a ball joint, so it takes none; limit it in the",
+        ),
     ],
 )
 def test_bounds_of_the_wrong_size_are_rejected(settings: dict, message: str) -> None:

@@ -43,7 +43,7 @@ def fail(*, least: float = -5.0, reach: float = 0.1, **more: object) -> Failure:
     [
         ({"least": 4.0}, "touch a forbidden contact or fail the predicate"),
         ({"least": -50.0}, "leave the range of x"),
-        ({"velocity_bound": (0.2,), "reach": 5.0}, "exceed the velocity bound of xvel"),
+        ({"velocity_bound": (0.2,), "reach": 5.0}, "exceed the velocity_bound of xvel, 0.2"),
     ],
 )
 def test_the_main_cause_is_named(settings: dict[str, object], cause: str) -> None:

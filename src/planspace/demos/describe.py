@@ -149,8 +149,8 @@ def _check_replay(part: Demos, first: int, folder: Path) -> float:
     if not errors.max() <= REPLAY_TOLERANCE:  # `not <=` because it is NaN if the simulation diverges
         raise PlanspaceError(
             f"{folder}: replaying the controls of demonstration {first + int(errors.argmax())} gives states "
-            f"that differ by up to {errors.max():.2g}; it was recorded with another version of MuJoCo or "
-            "another model."
+            f"that differ by up to {errors.max():.2g}: it was recorded with another model or version of "
+            "MuJoCo, or a control was not held from its state to the next."
         )
     return float(errors.max())
 

@@ -187,10 +187,18 @@ def _read_bounds(model: mujoco.MjModel, joint: int, given: PositionBounds) -> tu
     if name in given:
         size = _NUM_BOUNDS.get(kind, 0)
         if not size or any(len(side) != size for side in given[name]):
-            what = "an unlimited hinge" if kind == "circle" else f"a {kind} joint"
+            if not size:
+                what = (
+                    "an unlimited hinge turns all the way round" if kind == "circle" else "it is a ball joint"
+                )
+                raise UsageError(
+                    f"position_bounds of {name!r}: {what}, so it takes none; limit it in the model "
+                    '(limited="true" range="...").'
+                )
             got = " and ".join(str(len(side)) for side in given[name])
             raise UsageError(
-                f"position_bounds of {name!r}: {what} takes {size} lower and {size} upper bounds, got {got}."
+                f"position_bounds of {name!r}: a {kind} joint takes {size} lower and {size} upper bounds, "
+                f"got {got}."
             )
         low[:size] = np.maximum(low[:size], given[name][0])
         high[:size] = np.minimum(high[:size], given[name][1])

@@ -70,7 +70,8 @@ def _cause(simulator: Simulator, state: np.ndarray, diverged: bool) -> str:
     if len(outside):
         return f"{LEAVES_RANGE} {space.names[outside[0]]}"
     if not space.kinematic and (fast := np.flatnonzero(np.abs(velocities) > space.velocity_bound)).size:
-        return f"exceed the velocity bound of {space.names[space.num_positions + fast[0]]}"
+        bound = space.velocity_bound[fast[0]]
+        return f"exceed the velocity_bound of {space.names[space.num_positions + fast[0]]}, {bound:g}"
     if space.in_bounds(state):
         return "touch a forbidden contact or fail the predicate"
     return f"{LEAVES_RANGE} a ball joint"
