@@ -95,8 +95,11 @@ def prepare(
         pairs = zip(recorded.episodes(), origins, strict=True)
         return (replace(episode, origin=origin) for episode, origin in pairs)
 
-    doubts = VelocityCheck(meaning.info).notices(lambda: map(meaning.apply, located()))
-    doubts += limit_notices(meaning, survey)
+    def declared() -> Iterator[Episode]:
+        episodes = progress_over(located(), "compare", unit="demo", total=len(recorded))
+        return map(meaning.apply, episodes)
+
+    doubts = [*VelocityCheck(meaning.info).notices(declared), *limit_notices(meaning, survey)]
     watched = suspects.watch(located())
     demos = _declare(recorded, watched, meaning, imported.keep_angles, cleaning, options, staging)
     notices = [*imported.notices, *cleaning.notices(options.gaps), *suspects.notices(), *doubts]
