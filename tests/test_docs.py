@@ -86,6 +86,7 @@ LONG = (
     "howto/gymnasium-task.md",
     "howto/python-api.md",
     "howto/own-planner.md",
+    "howto/own-algorithm.md",
     "environments.md",
 )
 """Pages that run for more than half a minute and whose commands other tests run, too."""

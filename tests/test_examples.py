@@ -51,7 +51,10 @@ NEEDS = {
 FEW = {"gymnasium_mujoco.py": ("--num", "12", "--steps", "20"), "minari_demos.py": ("--steps", "20")}
 
 
-LONG = ("Reacher-v5", "InvertedPendulum-v5", "swingup/expert-v0", "trpo", "subproc", "sb3_features.py")
+LONG = (
+    "Reacher-v5", "InvertedPendulum-v5", "swingup/expert-v0", "trpo", "subproc", "sb3_features.py",
+    "her_goals.py",
+)  # fmt: skip
 """Scripts and arguments of the longest runs."""
 RUNS = [
     pytest.param(

@@ -69,7 +69,7 @@ def test_the_control_that_holds_a_servo_is_its_target() -> None:
     assert held == pytest.approx(1.5 - 0.347 / 2000, abs=2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_pendulum_is_swung_up_at_any_time_step() -> None:
     durations = []
     for step in (0.002, 0.02):

@@ -95,7 +95,7 @@ def test_an_own_task_is_identified_by_its_content(tmp_path: Path) -> None:
         play(policy, 1, seed=0, task=TASKS["cartpole"])
     returns, demos = play(policy, 2, seed=0, task=aim())
     assert len(demos) == 2 and (returns <= 0).all()
-    with pytest.raises(PlanspaceError, match="task_sha256 was"):
+    with pytest.raises(PlanspaceError, match="task_sha256 has changed"):
         train_policies(replace(aim(), frame_skip=3), config, out=tmp_path)
 
 

@@ -146,6 +146,7 @@ def data_of(demos: Demos, config: ImageFitConfig) -> PictureTriplets:
     return PictureTriplets(images, samples, images)
 
 
+@pytest.mark.nightly
 def test_states_of_plans_do_not_reach_a_plan_space_of_pictures(demos: Demos, tmp_path: Path) -> None:
     """Training data with other states, but the same pictures, give the same network."""
     config, found = replace(TINY, target="pictures", steps=3), []
